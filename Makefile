@@ -1,0 +1,54 @@
+# Every target sets up what it needs; `make help` lists them.
+PYTHON ?= python3
+WORKERS ?= 2
+BIN := .venv/bin
+OPENGL_PACKAGES := libegl1 libgl1-mesa-dri
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS)
+
+.DEFAULT_GOAL := help
+.PHONY: help setup run test quick lint clean
+
+help: ## Show this list
+	@echo "usage: make TARGET [PYTHON=python3.12] [WORKERS=4]"
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: .venv/installed ## Create .venv, install everything into it; as root on Debian or Ubuntu the OpenGL libraries too
+	@if $(BIN)/python -m pipeline.opengl; then exit 0; fi; \
+	line="apt-get install -y --no-install-recommends $(OPENGL_PACKAGES)"; \
+	if [ "$$(id -u)" = 0 ] && [ -e /etc/debian_version ] && command -v apt-get >/dev/null; then \
+		echo "installing OpenGL libraries: apt-get update && $$line"; \
+		export DEBIAN_FRONTEND=noninteractive; \
+		apt-get update -qq && $$line -qq >/dev/null && $(BIN)/python -m pipeline.opengl && exit 0; \
+		echo "OpenGL could not be installed; going on without pictures and movies"; \
+	else \
+		echo "going on without pictures and movies; to have them on Debian or Ubuntu: sudo $$line"; \
+	fi
+
+run: setup ## Run the example: cases/bar.toml -> outputs/bar (solved anew each time)
+	$(BIN)/pipeline run cases/bar.toml --force
+
+test: setup lint ## Everything that CI runs: lint, then all tests
+	$(PYTEST)
+
+quick: setup ## The tests that take no more than a few seconds each
+	$(PYTEST) -m "not slow"
+
+lint: .venv/installed ## ruff check, ruff format --check, mypy
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean: ## Remove .venv, caches and build leftovers; results in outputs/ stay
+	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	find pipeline tests -type d -name __pycache__ -prune -exec rm -rf {} +
+
+# Made anew when the requirements change.
+.venv/installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+		echo "Python 3.11 or newer is needed; $(PYTHON) is $$($(PYTHON) --version 2>&1 | head -n 1)." \
+			"Name another one: make setup PYTHON=python3.12" >&2; exit 1; }
+	@echo "installing into .venv (a minute or two)"
+	@$(PYTHON) -m venv .venv || { \
+		echo "no virtual environment could be made; on Debian or Ubuntu: apt-get install python3-venv" >&2; exit 1; }
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@

@@ -1,0 +1,149 @@
+"""Case -> Problem: every name looked up, every vector and node set checked, the body and its start made."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.case import Case, MethodSpec
+from pipeline.conditions import dead_load, initial_state, supports
+from pipeline.errors import MeshError
+from pipeline.fem.body import Body
+from pipeline.fem.material import Material
+from pipeline.mesh.files import read_mesh
+from pipeline.mesh.simplex import Mesh, component_labels
+from pipeline.methods import INVERSIONS, LAWS, LINEAR_SOLVERS, MASSES, ROTATIONS, SHAPES, STEP_LIMITS, STEPPERS
+from pipeline.stepping.state import State, Stepper
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A body, its method, its start and its schedule: all that `frames` needs."""
+
+    name: str
+    body: Body
+    method: MethodSpec
+    start: State
+    dt: float
+    steps_per_frame: int
+    frames: int
+    notes: tuple[str, ...] = ()
+
+    def prepare(self) -> Stepper:
+        """Return the stepper, ready to step: matrices factored, limits checked."""
+        return STEPPERS[self.method.stepper](self.body, self.dt, self.method)
+
+
+def build(case: Case) -> Problem:
+    """Return the problem that a resolved case (or one with a single variant) describes.
+
+    Raises CaseError where a name is unknown, a vector has the wrong length, a selection is empty or everything is
+    held, and MeshError where the mesh cannot be simulated.
+    """
+    if case.variant_name is None and len(case.variant_names) == 1:
+        case = case.variant(case.variant_names[0])
+    elif case.variant_name is None:
+        raise case.error("variants", f"choose one with case.variant(name): {', '.join(case.variant_names)}")
+    case = settled(case)
+    _check_method(case)
+    mesh = build_mesh(case)
+    m = case.material
+    material = Material(m.youngs_modulus, m.poisson_ratio, m.density)
+    law = LAWS[case.method.law](material, ROTATIONS[case.method.rotation])
+    body = Body(mesh, law, supports(case, mesh), dead_load(case, mesh), MASSES[case.method.mass])
+    if not body.free.size:
+        raise case.error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
+    _check_step(case, body)
+    s = case.schedule
+    start = initial_state(case, body)
+    name = f"{case.name}/{case.variant_name}"
+    return Problem(name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, _notes(case, mesh))
+
+
+def build_mesh(case: Case) -> Mesh:
+    """Return the rest mesh of a case; raises CaseError or MeshError."""
+    spec = case.mesh
+    try:
+        if spec.shape is None:
+            assert case.mesh_path is not None
+            mesh = read_mesh(case.mesh_path, spec.scale)
+        else:
+            assert spec.size is not None and spec.cells is not None
+            mesh = SHAPES[_chosen(case, "mesh.shape", spec.shape, SHAPES)](spec.size, spec.cells, spec.split)
+    except MeshError as error:
+        raise case.error("mesh", str(error)) from error
+    unused = np.flatnonzero(mesh.node_volumes == 0)
+    if unused.size:
+        raise case.error("mesh", f"{unused.size} nodes belong to no cell, first {unused[0]}; remove them")
+    return mesh
+
+
+def settled(case: Case) -> Case:
+    """Return a resolved case with what its stepper decides written out: symplectic Euler takes lumped mass."""
+    method = case.method
+    if method.stepper != "symplectic_euler" or method.mass == "lumped":
+        return case
+    inherited = "method.stepper" in case.own_keys and "method.mass" not in case.own_keys
+    if "mass" in method.model_fields_set and not inherited:
+        raise case.error("method.mass", "symplectic_euler takes 'lumped'")
+    note = "method.mass is lumped, as symplectic_euler takes it"
+    lumped = method.model_copy(update={"mass": "lumped"})
+    return case.model_copy(update={"method": lumped, "notes": (*case.notes, note)})
+
+
+def _check_method(case: Case) -> None:
+    """Raise CaseError for a name that is in no table, and for parts that do not go together."""
+    method = case.method
+    tables: Mapping[str, Mapping[str, Any]] = {
+        "law": LAWS,
+        "rotation": ROTATIONS,
+        "stepper": STEPPERS,
+        "linear_solver": LINEAR_SOLVERS,
+        "mass": MASSES,
+        "inversion": INVERSIONS,
+    }
+    for key, table in tables.items():
+        _chosen(case, f"method.{key}", getattr(method, key), table)
+    if method.law == "linear" or method.stepper in STEP_LIMITS:
+        return
+    if method.iterations == "converged" and method.rotation != "polar":
+        raise case.error(
+            "method.iterations", f"'converged' needs a potential, which {method.rotation} has not; use polar"
+        )
+    if INVERSIONS[method.inversion] is not None and (method.iterations != 1 or method.rotation != "polar"):
+        raise case.error(
+            "method.inversion", f"{method.inversion!r} has a memory: it goes with polar and iterations = 1"
+        )
+
+
+def _check_step(case: Case, body: Body) -> None:
+    """Raise CaseError where the stepper has a limit and dt is above it."""
+    if case.method.stepper not in STEP_LIMITS:
+        return
+    bound, limit = STEP_LIMITS[case.method.stepper]
+    dt = case.schedule.dt
+    if dt <= bound(body):
+        return
+    if dt >= limit(body):
+        raise case.error(
+            "schedule.dt",
+            f"{dt:g} is above the limit of {case.method.stepper}: {limit(body):.4g} s for this body, "
+            f"{bound(body):.4g} s by the bound over its cells",
+        )
+
+
+def _chosen(case: Case, key: str, name: str, table: Mapping[str, Any]) -> str:
+    if name not in table:
+        raise case.error(key, f"{name!r} is not one of {', '.join(table)}")
+    return name
+
+
+def _notes(case: Case, mesh: Mesh) -> tuple[str, ...]:
+    notes = list(case.notes)
+    if case.method.law == "linear" and "method.rotation" in case.own_keys:
+        notes.append("method.rotation is not used by the linear law")
+    pieces, _ = component_labels(mesh)
+    if pieces > 1:
+        notes.append(f"the mesh has {pieces} components")
+    return tuple(notes)

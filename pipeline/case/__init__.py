@@ -1,0 +1,44 @@
+"""TOML file -> validated, frozen Case with overrides and variants. No numerics are imported here."""
+
+from pipeline.case.model import Case, load_case
+from pipeline.case.overrides import parse_override
+from pipeline.case.specs import (
+    BodyForceSpec,
+    HalfSpaceSpec,
+    InitialSpec,
+    LoadsSpec,
+    MaterialSpec,
+    MeshSpec,
+    MethodSpec,
+    MotionSpec,
+    MovieSpec,
+    OutputSpec,
+    ScheduleSpec,
+    SelectorSpec,
+    SphereSpec,
+    SpinSpec,
+    SupportSpec,
+    TractionSpec,
+)
+
+__all__ = [
+    "BodyForceSpec",
+    "Case",
+    "HalfSpaceSpec",
+    "InitialSpec",
+    "LoadsSpec",
+    "MaterialSpec",
+    "MeshSpec",
+    "MethodSpec",
+    "MotionSpec",
+    "MovieSpec",
+    "OutputSpec",
+    "ScheduleSpec",
+    "SelectorSpec",
+    "SphereSpec",
+    "SpinSpec",
+    "SupportSpec",
+    "TractionSpec",
+    "load_case",
+    "parse_override",
+]

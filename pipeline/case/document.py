@@ -1,0 +1,47 @@
+"""A TOML file as a dict, or one line that says why not."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import CaseError
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file. CaseError names what is in the way, with the line where there is one."""
+    if "\0" in str(path):
+        raise CaseError(f"{str(path)!r}: no such file")
+    try:
+        if path.is_dir():
+            raise CaseError(f"{path}: is a folder, not a case file{_neighbours(path)}")
+        if not path.exists():
+            raise CaseError(f"{path}: no such file{_neighbours(path.parent)}")
+        if not path.is_file():
+            raise CaseError(f"{path}: is not a regular file")
+        text = path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        raise CaseError(f"{path}: line {line}: not UTF-8") from None
+    except OSError as error:
+        raise CaseError(f"{path}: cannot be read: {error.strerror}") from None
+    return _parsed(text, path)
+
+
+def _parsed(text: str, path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        reason = " ".join(str(error).split())
+        end = f"at line {text.count(chr(10)) + 1}, the end of the file"
+        raise CaseError(f"{path}: not TOML: {reason.replace('at end of document', end)}") from None
+    except ValueError as error:  # a number beyond Python's limit of digits, a day that no month has
+        raise CaseError(f"{path}: not TOML: {' '.join(str(error).split())}") from None
+
+
+def _neighbours(folder: Path) -> str:
+    try:
+        names = sorted(file.name for file in folder.glob("*.toml"))
+    except OSError:
+        names = []
+    shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+    return f"; {folder} has {shown}" if names else ""

@@ -1,0 +1,55 @@
+"""Dotted overrides, as `--set` and a case's variants write them."""
+
+import tomllib
+from collections.abc import Mapping
+from typing import Any
+
+from pipeline.case.values import dotted, shown
+from pipeline.errors import CaseError
+
+
+def parse_override(text: str) -> tuple[str, object]:
+    """The key and value of "key=value"; what is no TOML value (a bare word) is a string."""
+    key, equals, value = text.partition("=")
+    key, value = key.strip(), value.strip()
+    if not equals or not key:
+        raise CaseError(f"--set {shown(text)}: write key=value, such as schedule.dt=0.01")
+    try:
+        table = tomllib.loads(f"value = {value}")
+    except (ValueError, RecursionError):
+        return key, value
+    return key, table["value"] if len(table) == 1 else value
+
+
+def overridden(document: Mapping[str, Any], key: str, value: object) -> dict[str, Any]:
+    """A copy of the document with the dotted key set; a table replaces a table. ValueError says why not."""
+    if value is None:
+        raise ValueError("None is not a TOML value")
+    parts = key.split(".")
+    if parts[0] == "variants":  # below a variant's name stands one dotted key
+        parts = [*parts[:2], *filter(None, [".".join(parts[2:])])]
+    return dict(_replaced(document, parts, value, ()))
+
+
+def forgotten(document: Mapping[str, Any], key: str, value: object) -> list[str]:
+    """The keys that are lost where an override replaces a whole table."""
+    node: Any = document
+    for part in key.split("."):
+        node = node.get(part) if isinstance(node, Mapping) else None
+    both = isinstance(node, Mapping) and isinstance(value, Mapping)
+    return [name for name in node if name not in value] if both else []  # type: ignore[operator]
+
+
+def _replaced(node: Any, parts: list[str], value: object, done: tuple[str, ...]) -> Any:
+    if not parts:
+        return value
+    head, *rest = parts
+    if isinstance(node, Mapping):
+        return {**node, head: _replaced(node.get(head, {}), rest, value, (*done, head))}
+    if isinstance(node, list | tuple):
+        index = int(head) if head.isascii() and head.isdecimal() and len(head) < 10 else -1
+        if not 0 <= index < len(node):
+            has = f"entries 0 to {len(node) - 1}" if node else "no entries"
+            raise ValueError(f"{dotted(done)} is a list with {has}; it has no {shown(head)}")
+        return [*node[:index], _replaced(node[index], rest, value, (*done, head)), *node[index + 1 :]]
+    raise ValueError(f"{dotted(done)} is {shown(node)}, not a table")

@@ -1,0 +1,105 @@
+"""What can be known of a problem before it is solved."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from pipeline.build import Problem
+from pipeline.errors import SolveError
+from pipeline.fem.modes import lowest_frequencies
+from pipeline.mesh.simplex import component_labels, quality
+from pipeline.stepping.backward_euler import damping_ratio
+
+# eigenvalues of larger bodies take longer than many a run
+_MODE_LIMIT = 200_000
+
+
+@dataclass(frozen=True)
+class Check:
+    """Counts, volumes [m3], quality (1 is regular), lowest frequency [rad/s], z = omega dt and its damping ratio."""
+
+    dimension: int
+    nodes: int
+    cells: int
+    held: int
+    components: int
+    total_volume: float
+    smallest_volume: float
+    largest_volume: float
+    mass: float
+    worst_quality: float
+    worst_cell: int
+    median_quality: float
+    wave_speed: float
+    omega_1: float
+    z: float
+    damping: float
+
+
+def check(problem: Problem) -> Check:
+    """Return the numbers of a problem; omega_1 is NaN where the body is too large to look for it, or rigid."""
+    body = problem.body
+    mesh = body.mesh
+    q = quality(mesh)
+    omega = _lowest(problem)
+    z = omega * problem.dt
+    return Check(
+        dimension=mesh.dimension,
+        nodes=len(mesh.points),
+        cells=len(mesh.cells),
+        held=len(body.supports.nodes),
+        components=component_labels(mesh)[0],
+        total_volume=float(mesh.rest_volumes.sum()),
+        smallest_volume=float(mesh.rest_volumes.min()),
+        largest_volume=float(mesh.rest_volumes.max()),
+        mass=float(body.lumped_mass.sum()),
+        worst_quality=float(q.min()),
+        worst_cell=int(q.argmin()),
+        median_quality=float(np.median(q)),
+        wave_speed=body.material.wave_speed,
+        omega_1=omega,
+        z=z,
+        damping=damping_ratio(z),
+    )
+
+
+def _lowest(problem: Problem) -> float:
+    if len(problem.body.mesh.cells) > _MODE_LIMIT:
+        return float("nan")
+    try:
+        found, _ = lowest_frequencies(problem.body)
+    except SolveError:
+        return float("nan")
+    return float(found[0]) if len(found) else float("nan")
+
+
+def lines(found: Check, problem: Problem) -> list[str]:
+    """Return the check as lines to read."""
+    kind, unit = ("tetrahedra", "m3") if found.dimension == 3 else ("triangles", "m2")
+    rows = [
+        f"nodes        {found.nodes}, of which {found.held} are held",
+        f"{kind:<12} {found.cells} in {found.components} component{'s' * (found.components > 1)}",
+        f"volume       {found.total_volume:.6g} {unit}; "
+        f"cells from {found.smallest_volume:.4g} to {found.largest_volume:.4g}",
+        f"quality      worst {found.worst_quality:.3f} (cell {found.worst_cell}), "
+        f"median {found.median_quality:.3f}; 1 is regular",
+        f"mass         {found.mass:.6g} kg; wave speed {found.wave_speed:.4g} m/s",
+    ]
+    if np.isfinite(found.omega_1):
+        rows += [
+            f"omega_1      {found.omega_1:.4g} rad/s, the lowest elastic one ({found.omega_1 / 2 / np.pi:.4g} Hz)",
+            f"omega_1 dt   {found.z:.4g} with dt = {problem.dt:g} s",
+        ]
+        if problem.method.stepper == "backward_euler":
+            rows.append(
+                f"damping      backward Euler damps that mode by {100 * found.damping:.3g} % of critical"
+                + (f"; for 1 % take dt near {_dt_for(0.01) / found.omega_1:.2g} s" if found.damping > 0.01 else "")
+            )
+    rows += [f"note         {note}" for note in problem.notes]
+    return rows
+
+
+def _dt_for(damping: float) -> float:
+    """Return z = omega dt at which backward Euler has that damping ratio."""
+    return float(brentq(lambda z: damping_ratio(z) - damping, 1e-6, 10.0))

@@ -1,0 +1,127 @@
+"""What a case says of where: node selections, supports and their motions, dead loads, the initial state."""
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.case import Case, SpinSpec
+from pipeline.fem.body import Body
+from pipeline.fem.loads import body_force, normal_traction
+from pipeline.fem.supports import Motion, Supports
+from pipeline.mesh.simplex import Floats, Ints, Mesh
+from pipeline.mesh.surface import boundary_faces
+from pipeline.stepping.state import State
+
+AXES = {"x": 0, "y": 1, "z": 2}
+
+
+def vector(case: Case, key: str, value: tuple[float, ...] | None, d: int) -> Floats:
+    """Return a case's vector (d,), zeros where it is not given."""
+    if value is None:
+        return np.zeros(d)
+    if len(value) != d:
+        raise case.error(key, f"{list(value)} has {len(value)} components, the mesh has {d} dimensions")
+    return np.array(value, dtype=np.float64)
+
+
+def selected_nodes(case: Case, key: str, selector: Any, mesh: Mesh) -> Ints:
+    """Return the nodes that a selector of the case names; raises CaseError where it names none."""
+    X = mesh.points
+    reach = 1e-9 * mesh.size  # nodes on a plane come from arithmetic of about 1e-16 of the size
+    for name in ("plane", "below", "above"):
+        chosen = getattr(selector, name)
+        if chosen is not None and AXES[chosen if name == "plane" else chosen.axis] >= mesh.dimension:
+            raise case.error(f"{key}.{name}", "'z' is not an axis of a planar mesh")
+    if selector.plane is not None:
+        mask = np.abs(X[:, AXES[selector.plane]] - selector.at) <= reach
+    elif selector.box is not None:
+        low, high = (vector(case, f"{key}.box", corner, mesh.dimension) for corner in selector.box)
+        mask = np.all((low - reach <= X) & (high + reach >= X), axis=1)
+    elif selector.sphere is not None:
+        center = vector(case, f"{key}.sphere.center", selector.sphere.center, mesh.dimension)
+        mask = np.linalg.norm(X - center, axis=1) <= selector.sphere.radius + reach
+    elif selector.below is not None:
+        mask = X[:, AXES[selector.below.axis]] < selector.below.at
+    elif selector.above is not None:
+        mask = X[:, AXES[selector.above.axis]] > selector.above.at
+    else:
+        return _listed_nodes(case, key, selector.nodes, len(X))
+    if not mask.any():
+        low, high = X.min(axis=0), X.max(axis=0)
+        raise case.error(key, f"selects no node; the mesh spans {low.tolist()} to {high.tolist()}")
+    return np.flatnonzero(mask)
+
+
+def _listed_nodes(case: Case, key: str, nodes: tuple[int, ...], count: int) -> Ints:
+    if max(nodes) >= count:
+        raise case.error(f"{key}.nodes", f"{max(nodes)} is not a node; the mesh has {count}, counted from 0")
+    return np.unique(np.array(nodes, dtype=np.int64))
+
+
+def supports(case: Case, mesh: Mesh) -> Supports:
+    """Return the held nodes and their motions; raises CaseError where a node would have two."""
+    held = [selected_nodes(case, f"supports.{i}", s, mesh) for i, s in enumerate(case.supports)]
+    taken = np.full(len(mesh.points), -1)
+    motions = []
+    for i, (spec, nodes) in enumerate(zip(case.supports, held, strict=True)):
+        twice = nodes[taken[nodes] >= 0]
+        if twice.size and (spec.motion or case.supports[taken[twice[0]]].motion):
+            raise case.error(f"supports.{i}", f"node {twice[0]} is held by supports.{taken[twice[0]]} already")
+        taken[nodes] = i
+        if spec.motion is not None:
+            motions.append((nodes, _motion(case, f"supports.{i}.motion", spec.motion, mesh)))
+    return Supports(np.flatnonzero(taken >= 0), tuple(motions))
+
+
+def _motion(case: Case, key: str, spec: Any, mesh: Mesh) -> Motion:
+    d = mesh.dimension
+    velocity = vector(case, f"{key}.velocity", spec.velocity, d)
+    if spec.spin is None:
+        return Motion(velocity, np.array([0.0, 0.0, 1.0]), 0.0, np.zeros(d))
+    center = vector(case, f"{key}.spin.center", spec.spin.center, d)
+    return Motion(velocity, _axis(case, f"{key}.spin", spec.spin, d), float(np.radians(spec.spin.rate)), center)
+
+
+def _axis(case: Case, key: str, spin: SpinSpec, d: int) -> Floats:
+    """Return the unit axis (3,); in the plane it must be along z."""
+    axis = np.array(spin.axis, dtype=np.float64)
+    if d == 2 and axis[:2].any():
+        raise case.error(f"{key}.axis", f"{list(spin.axis)} is not along z; the mesh is planar")
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def dead_load(case: Case, mesh: Mesh) -> Floats:
+    """Return the sum of the dead loads (n, d) [N]."""
+    d = mesh.dimension
+    density = case.material.density * vector(case, "loads.gravity", case.loads.gravity, d)
+    if case.loads.body_force is not None:
+        b = case.loads.body_force
+        density += b.factor * vector(case, "loads.body_force", b.value, d)
+    f = body_force(mesh, density)
+    faces, _ = boundary_faces(mesh) if case.loads.traction else (np.zeros((0, d), np.int64), None)
+    for i, spec in enumerate(case.loads.traction):
+        chosen = np.zeros(len(mesh.points), dtype=bool)
+        chosen[selected_nodes(case, f"loads.traction.{i}", spec, mesh)] = True
+        loaded = faces[chosen[faces].all(axis=1)]
+        if not len(loaded):
+            raise case.error(f"loads.traction.{i}", "its nodes are not the corners of any boundary face")
+        f += normal_traction(mesh, loaded, spec.normal_traction)
+    return f
+
+
+def initial_state(case: Case, body: Body) -> State:
+    """Return the start: rest positions, velocity and spin on the free nodes, the supports' own on the held ones."""
+    mesh, initial = body.mesh, case.initial
+    d = mesh.dimension
+    v = np.broadcast_to(vector(case, "initial.velocity", initial.velocity, d), mesh.points.shape)
+    if initial.spin is not None:
+        mean = mesh.node_volumes @ mesh.points / mesh.rest_volumes.sum()  # of a uniform body: the centre of mass
+        spin = initial.spin
+        center = mean if spin.center is None else vector(case, "initial.spin.center", spin.center, d)
+        omega = np.radians(spin.rate) * _axis(case, "initial.spin", spin, d)
+        arm = np.pad(mesh.points - center, [(0, 0), (0, 3 - d)])
+        v = v + np.cross(omega, arm)[:, :d]
+    v = np.where(body.free_mask[:, None], initial.factor * v, 0.0)
+    for nodes, motion in body.supports.motions:
+        v[nodes] = motion.velocities(mesh.points[nodes])
+    return State(0, mesh.points.copy(), v)

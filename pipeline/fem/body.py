@@ -1,0 +1,94 @@
+"""A body: mesh, law, mass, supports and loads, and the global vectors and matrices that steppers ask for."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
+from pipeline.fem.element import deformation_gradient, nodal_forces, stiffness_blocks
+from pipeline.fem.laws import Law, Tangent
+from pipeline.fem.material import Material
+from pipeline.fem.supports import Supports
+from pipeline.mesh.simplex import Floats, Ints, Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What moves. `load` (n, d) [N] is the sum of the dead loads; `mass_pairs` makes the mass matrix of a cell."""
+
+    mesh: Mesh
+    law: Law
+    supports: Supports
+    load: Floats
+    mass_pairs: Callable[[Mesh, float], Floats]
+
+    @property
+    def material(self) -> Material:
+        """Return the material of the law."""
+        return self.law.material
+
+    @cached_property
+    def assembly(self) -> Assembly:
+        """Return the block pattern of all nodes and the map into it."""
+        return assemble_pattern(self.mesh)
+
+    @property
+    def pattern(self) -> BlockPattern:
+        """Return the block pattern of all nodes."""
+        return self.assembly.pattern
+
+    @cached_property
+    def free(self) -> Ints:
+        """Return the nodes that no support holds."""
+        return np.flatnonzero(self.free_mask)
+
+    @cached_property
+    def free_mask(self) -> np.ndarray:
+        """Return, for each node, whether no support holds it."""
+        mask = np.ones(len(self.mesh.points), dtype=bool)
+        mask[self.supports.nodes] = False
+        return mask
+
+    @cached_property
+    def free_pattern(self) -> tuple[BlockPattern, Ints]:
+        """Return the pattern of the free nodes and the index of its blocks in `pattern`."""
+        return self.pattern.restricted(self.free_mask)
+
+    @cached_property
+    def mass(self) -> Floats:
+        """Return the mass matrix' values (blocks, d, d) [kg]."""
+        pairs = self.assembly.sum_scalars(self.mass_pairs(self.mesh, self.material.density))
+        return pairs[:, None, None] * np.eye(self.mesh.dimension)
+
+    @cached_property
+    def lumped_mass(self) -> Floats:
+        """Return the row sums of the mass matrix (n,) [kg]."""
+        return self.material.density * self.mesh.node_volumes
+
+    def momentum(self, v: Floats) -> Floats:
+        """Return M v (n, d) [kg m/s]."""
+        return self.pattern.product(self.mass, v)
+
+    def rotations(self, x: Floats) -> Floats:
+        """Return the law's frame of every cell (e, d, d) at positions x (n, d)."""
+        return self.law.rotations(deformation_gradient(self.mesh, x))
+
+    def energy(self, x: Floats) -> float:
+        """Return the elastic energy [J] at positions x (n, d)."""
+        F = deformation_gradient(self.mesh, x)
+        return float(self.mesh.rest_volumes @ self.law.energy_density(F, self.law.rotations(F)))
+
+    def force(self, x: Floats, R: Floats | None = None) -> Floats:
+        """Return the elastic forces ON the nodes (n, d) [N], with the rotations R where they are given."""
+        F = deformation_gradient(self.mesh, x)
+        return nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
+
+    def linearise(self, x: Floats, R: Floats | None = None, kind: Tangent = "frozen") -> tuple[Floats, Floats]:
+        """Return the elastic forces (n, d) [N] and the values of K = -df/dx (blocks, d, d) [N/m]."""
+        F = deformation_gradient(self.mesh, x)
+        if R is None:
+            R = self.law.rotations(F)
+        f = nodal_forces(self.mesh, self.law.stress(F, R))
+        return f, self.assembly.sum_blocks(stiffness_blocks(self.mesh, self.law.tangent(F, R, kind)))

@@ -1,0 +1,32 @@
+"""Dead loads: nodal forces that depend on the rest shape only, so that their potential is -f . u."""
+
+import numpy as np
+
+from pipeline.mesh.simplex import Floats, Ints, Mesh
+from pipeline.mesh.surface import outward_areas
+
+
+def body_force(mesh: Mesh, b: Floats) -> Floats:
+    """Return the nodal forces V b / (d + 1) (n, d) [N] of a force density b (d,) [N/m3]."""
+    return mesh.node_volumes[:, None] * b
+
+
+def normal_traction(mesh: Mesh, faces: Ints, traction: float) -> Floats:
+    """Return the nodal forces t n A / d (n, d) [N] of a traction [Pa], positive outward, on the rest faces (f, d)."""
+    share = traction * outward_areas(mesh.points, faces) / mesh.dimension
+    f = np.zeros_like(mesh.points)
+    for corner in faces.T:
+        np.add.at(f, corner, share)
+    return f
+
+
+def consistent_mass_pairs(mesh: Mesh, density: float) -> Floats:
+    """Return rho V / ((d+1)(d+2)) (1 + delta_ab) of every cell (e, d + 1, d + 1) [kg]."""
+    k = mesh.dimension + 1
+    return (density * mesh.rest_volumes / (k * (k + 1)))[:, None, None] * (1 + np.eye(k))
+
+
+def lumped_mass_pairs(mesh: Mesh, density: float) -> Floats:
+    """Return rho V / (d + 1) delta_ab of every cell (e, d + 1, d + 1) [kg]."""
+    k = mesh.dimension + 1
+    return (density * mesh.rest_volumes / k)[:, None, None] * np.eye(k)

@@ -1,0 +1,51 @@
+"""Natural frequencies of a body at rest, from K u = omega^2 M u on its free nodes."""
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh, splu
+
+from pipeline.errors import SolveError
+from pipeline.fem.body import Body
+from pipeline.mesh.simplex import Floats, component_labels
+
+# rigid modes of a free body come out as rounding: omega^2 below this part of (wave speed / size)^2
+_RIGID = 1e-6
+
+
+def lowest_frequencies(body: Body, count: int = 1) -> tuple[Floats, Floats]:
+    """Return the lowest elastic frequencies (count,) [rad/s] and their modes (count, n, d), M-normalised.
+
+    Rigid modes of bodies that are not held are left out. Raises SolveError where the iteration does not converge.
+    """
+    K, M = _free_matrices(body)
+    d = body.mesh.dimension
+    scale = (body.material.wave_speed / body.mesh.size) ** 2
+    extra = d * (d + 1) // 2 * component_labels(body.mesh)[0]
+    wanted = count + extra
+    if wanted >= K.shape[0] - 1:
+        values, vectors = _dense(K, M)
+    else:
+        shift = -1e-3 * scale  # below the rigid modes' zero, so that K - shift M can be factored
+        try:
+            inverse = splu((K - shift * M).tocsc()).solve
+            operator = LinearOperator(K.shape, matvec=inverse, dtype=np.float64)
+            start = np.random.default_rng(0).standard_normal(K.shape[0])
+            values, vectors = eigsh(K, wanted, M, sigma=shift, OPinv=operator, v0=start)
+        except (ArpackError, RuntimeError) as error:
+            raise SolveError(f"the lowest frequencies were not found ({error})") from error
+    elastic = np.flatnonzero(values > _RIGID * scale)[:count]
+    modes = np.zeros((len(elastic), *body.mesh.points.shape))
+    modes[:, body.free] = vectors.T[elastic].reshape(len(elastic), -1, d)
+    return np.sqrt(values[elastic]), modes
+
+
+def _free_matrices(body: Body) -> tuple[csc_array, csc_array]:
+    pattern, blocks = body.free_pattern
+    _, K = body.linearise(body.mesh.points)
+    return tuple(csc_array(pattern.matrix(values[blocks])) for values in (K, body.mass))  # type: ignore[return-value]
+
+
+def _dense(K: csc_array, M: csc_array) -> tuple[Floats, Floats]:
+    values, vectors = eigh(K.toarray(), M.toarray())
+    return values, vectors

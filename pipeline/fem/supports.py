@@ -1,0 +1,54 @@
+"""Supports: nodes whose positions are given, at rest or moving rigidly."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.mesh.simplex import Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A rigid motion: translation at `velocity` [m/s] and turning about `center` at `rate` [rad/s] around `axis`.
+
+    In the plane the axis is (0, 0, 1), or its opposite, and center and velocity have two components.
+    """
+
+    velocity: Floats
+    axis: Floats
+    rate: float
+    center: Floats
+
+    def positions(self, X: Floats, time: float) -> Floats:
+        """Return where the points X (k, d) are at a time [s]; exact, not integrated."""
+        R = rotation_about(self.axis, self.rate * time)[: X.shape[1], : X.shape[1]]
+        return self.center + (X - self.center) @ R.T + self.velocity * time
+
+    def velocities(self, X: Floats) -> Floats:
+        """Return the velocities of the points X (k, d) at the start [m/s]."""
+        d = X.shape[1]
+        arm = np.pad(X - self.center, [(0, 0), (0, 3 - d)])
+        return self.velocity + self.rate * np.cross(self.axis, arm)[:, :d]
+
+
+@dataclass(frozen=True, eq=False)
+class Supports:
+    """Held nodes (k,) and the motions of some of them; a node without one stays at its rest position."""
+
+    nodes: Ints
+    motions: Sequence[tuple[Ints, Motion]] = ()
+
+    def positions(self, points: Floats, time: float) -> Floats:
+        """Return the positions of `nodes` (k, d) at a time [s]."""
+        x = points.copy()
+        for nodes, motion in self.motions:
+            x[nodes] = motion.positions(points[nodes], time)
+        return np.asarray(x[self.nodes])
+
+
+def rotation_about(axis: Floats, angle: float) -> Floats:
+    """Return the rotation (3, 3) by an angle [rad] about an axis, by Rodrigues' formula."""
+    a = axis / np.linalg.norm(axis)
+    W = np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+    return np.eye(3) + np.sin(angle) * W + (1 - np.cos(angle)) * W @ W

@@ -1,0 +1,77 @@
+"""The numbers of one frame, and the table of every variable that files and datasets carry.
+
+Pure functions: what sinks write about a live run and what a foreign series is measured by is the same.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.fem.element import deformation_gradient
+from pipeline.fem.rotation import angle, polar
+from pipeline.frame import Frame, Values
+from pipeline.mesh.simplex import Floats, signed_volumes
+
+QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What a name means: its dimensions in one frame, its unit and a sentence."""
+
+    dims: tuple[str, ...]
+    units: str
+    long_name: str
+
+
+VARIABLES: Mapping[str, Variable] = {
+    "volume_ratio": Variable(("cell",), "1", "volume now over rest volume, det F; negative where inverted"),
+    "rotation_angle": Variable(("cell",), "degree", "angle of the polar rotation of the deformation gradient"),
+    "total_volume": Variable((), "m3", "signed sum of the volumes of all cells"),
+    "volume_drift": Variable((), "1", "total volume over total rest volume, less one"),
+    "volume_ratio_mean": Variable((), "1", "mean volume ratio, weighted by rest volume"),
+    "volume_ratio_quantile": Variable(("quantile",), "1", "quantiles of the volume ratio over cells, unweighted"),
+    "inverted_count": Variable((), "1", "number of cells whose volume ratio is not positive"),
+    "center_of_mass": Variable(("axis",), "m", "centre of mass of the body, its density being uniform"),
+    "kinetic_energy": Variable((), "J", "kinetic energy"),
+    "elastic_energy": Variable((), "J", "elastic energy of the law that was solved"),
+    "potential_energy": Variable((), "J", "potential energy of the dead loads, zero at the rest positions"),
+    "linear_momentum": Variable(("axis",), "kg m s-1", "linear momentum"),
+    "angular_momentum": Variable(("axis",), "kg m2 s-1", "angular momentum about the origin"),
+    "newton_iterations": Variable((), "1", "linear systems solved since the frame before"),
+}
+# in the plane a volume is an area and an energy is per metre of thickness
+_PLANAR_UNITS = {"m3": "m2", "J": "J m-1", "kg m s-1": "kg s-1", "kg m2 s-1": "kg m s-1"}
+
+
+def units(name: str, dimension: int) -> str:
+    """Return the unit of a variable for a body of that dimension; a planar one has unit thickness."""
+    unit = VARIABLES[name].units
+    return _PLANAR_UNITS.get(unit, unit) if dimension == 2 else unit
+
+
+def spatial(vector: Floats) -> Floats:
+    """Return vectors (..., d) with three components, as files carry them: zero along z in the plane."""
+    missing = 3 - vector.shape[-1]
+    return np.pad(vector, [(0, 0)] * (vector.ndim - 1) + [(0, missing)])
+
+
+def measure(frame: Frame) -> Values:
+    """Return the value of every variable that can be known of this frame, by the names of VARIABLES."""
+    mesh = frame.mesh
+    volumes = signed_volumes(frame.x, mesh.cells)
+    ratio = volumes / mesh.rest_volumes
+    F = deformation_gradient(mesh, frame.x)
+    total, rest = volumes.sum(), mesh.rest_volumes.sum()
+    return {
+        "volume_ratio": ratio,
+        "rotation_angle": np.degrees(angle(polar(F))),
+        "total_volume": np.asarray(total),
+        "volume_drift": np.asarray(total / rest - 1),
+        "volume_ratio_mean": np.asarray((ratio * mesh.rest_volumes).sum() / rest),
+        "volume_ratio_quantile": np.quantile(ratio, QUANTILES),
+        "inverted_count": np.asarray(float((ratio <= 0).sum())),
+        "center_of_mass": spatial(mesh.node_volumes @ frame.x / rest),
+        **frame.known,
+    }

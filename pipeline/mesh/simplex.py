@@ -1,0 +1,115 @@
+"""The simplex mesh: triangles in the plane (d = 2) or tetrahedra in space (d = 3), and its own numbers."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import factorial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from pipeline.errors import MeshError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+CELL_NAMES = {2: "triangle", 3: "tetrahedron"}
+
+
+def edge_matrices(points: Floats, cells: Ints) -> Floats:
+    """Return D (e, d, d), whose columns are the edges from a cell's first vertex to the others."""
+    return np.swapaxes(points[cells[:, 1:]] - points[cells[:, :1]], 1, 2)
+
+
+def signed_volumes(points: Floats, cells: Ints) -> Floats:
+    """Return det D / d! (e,): volumes [m3], or areas [m2] for triangles; negative where inverted."""
+    d = points.shape[1]
+    return np.linalg.det(edge_matrices(points, cells)) / factorial(d)
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A rest mesh: points (n, d) [m] and positively oriented cells (e, d + 1).
+
+    Raises MeshError for cells that are inverted, flat or name nodes that do not exist.
+    """
+
+    points: Floats
+    cells: Ints
+    name: str = "mesh"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", np.ascontiguousarray(self.points, dtype=np.float64))
+        object.__setattr__(self, "cells", np.ascontiguousarray(self.cells, dtype=np.int64))
+        n, d = self.points.shape
+        if d not in CELL_NAMES or self.cells.ndim != 2 or self.cells.shape[1] != d + 1:
+            raise MeshError(
+                f"{self.name}: points {self.points.shape} and cells {self.cells.shape} are not a simplex mesh"
+            )
+        if not len(self.cells):
+            raise MeshError(f"{self.name}: no {CELL_NAMES[d]}")
+        if self.cells.min() < 0 or self.cells.max() >= n:
+            raise MeshError(f"{self.name}: a cell names node {self.cells.max()} of {n} (counted from 0)")
+        if not np.isfinite(self.points).all():
+            raise MeshError(f"{self.name}: a point is not finite")
+        bad = np.flatnonzero(self.rest_volumes <= 0)
+        if bad.size:
+            raise MeshError(
+                f"{self.name}: {bad.size} inverted or flat {CELL_NAMES[d]} cells, first {bad[0]} with volume "
+                f"{self.rest_volumes[bad[0]]:.3g}; reorient or remove them"
+            )
+        self.points.setflags(write=False)
+        self.cells.setflags(write=False)
+
+    @property
+    def dimension(self) -> int:
+        """Return d."""
+        return self.points.shape[1]
+
+    @cached_property
+    def rest_volumes(self) -> Floats:
+        """Return the rest volume of every cell (e,) [m3; m2 in the plane]."""
+        return signed_volumes(self.points, self.cells)
+
+    @cached_property
+    def shape_gradients(self) -> Floats:
+        """Return grad N_a (e, d + 1, d) [1/m]: the rows of Dm^-1, and minus their sum for the first vertex."""
+        inverse = np.linalg.inv(edge_matrices(self.points, self.cells))
+        return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+
+    @cached_property
+    def size(self) -> float:
+        """Return the diagonal of the bounding box [m]."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    @cached_property
+    def node_volumes(self) -> Floats:
+        """Return each node's share V / (d + 1) of its cells (n,)."""
+        share = np.repeat(self.rest_volumes / (self.dimension + 1), self.dimension + 1)
+        return np.bincount(self.cells.ravel(), weights=share, minlength=len(self.points)).astype(np.float64, copy=False)
+
+
+def quality(mesh: Mesh) -> Floats:
+    """Return d inradius / circumradius of every cell (e,): 1 is regular, 0 is flat."""
+    d = mesh.dimension
+    faces = np.array([np.delete(np.arange(d + 1), a) for a in range(d + 1)])
+    corners = mesh.points[mesh.cells[:, faces]]  # (e, face, d vertices, d)
+    if d == 2:
+        areas = np.linalg.norm(corners[:, :, 1] - corners[:, :, 0], axis=-1)
+    else:
+        sides = corners[:, :, 1:] - corners[:, :, :1]
+        areas = np.linalg.norm(np.cross(sides[:, :, 0], sides[:, :, 1]), axis=-1) / 2
+    inradius = d * mesh.rest_volumes / areas.sum(axis=1)
+    edges = np.swapaxes(edge_matrices(mesh.points, mesh.cells), 1, 2)
+    # the circumcentre c, seen from the first vertex, satisfies edge . c = |edge|^2 / 2 for every edge
+    centre = np.linalg.solve(edges, (edges**2).sum(axis=2, keepdims=True) / 2)[:, :, 0]
+    return np.asarray(d * inradius / np.linalg.norm(centre, axis=1))
+
+
+def component_labels(mesh: Mesh) -> tuple[int, Ints]:
+    """Return the number of connected components and each node's label (n,); a lone node is one of its own."""
+    a = np.repeat(mesh.cells[:, :1], mesh.dimension, axis=1).ravel()
+    b = mesh.cells[:, 1:].ravel()
+    n = len(mesh.points)
+    count, labels = connected_components(coo_array((np.ones(a.size), (a, b)), shape=(n, n)), directed=False)
+    return int(count), labels.astype(np.int64)

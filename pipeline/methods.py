@@ -1,0 +1,130 @@
+"""The swap table: every name that a case may use for a part of its method, and what makes that part.
+
+A new law, rotation, stepper, linear solver or shape is one file and one row here.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import cast
+
+from pipeline.case import MethodSpec
+from pipeline.fem.body import Body
+from pipeline.fem.laws import Corotational, Law, Linear, Tangent
+from pipeline.fem.loads import consistent_mass_pairs, lumped_mass_pairs
+from pipeline.fem.material import Material
+from pipeline.fem.rotation import gram_schmidt, polar
+from pipeline.mesh.shapes import box, rectangle
+from pipeline.mesh.simplex import Floats, Mesh
+from pipeline.stepping.backward_euler import BackwardEuler
+from pipeline.stepping.bdf2 import BDF2
+from pipeline.stepping.guard import Guarded
+from pipeline.stepping.implicit import FrozenPasses, Prefactored, StageSolver
+from pipeline.stepping.inversion import Crossing, Last, Treatment
+from pipeline.stepping.linear_solve import BlockJacobiCG, LinearSolver, SuperLU
+from pipeline.stepping.newton import Converged, NewtonLimits
+from pipeline.stepping.state import Stepper
+from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
+
+Rotation = Callable[[Floats], Floats]
+
+LAWS: Mapping[str, Callable[[Material, Rotation], Law]] = {
+    "linear": lambda material, rotation: Linear(material),
+    "corotational": Corotational,
+}
+ROTATIONS: Mapping[str, Rotation] = {"polar": polar, "gram_schmidt": gram_schmidt}
+MASSES: Mapping[str, Callable[[Mesh, float], Floats]] = {
+    "consistent": consistent_mass_pairs,
+    "lumped": lumped_mass_pairs,
+}
+LINEAR_SOLVERS: Mapping[str, Callable[..., LinearSolver]] = {
+    "auto": SuperLU,
+    "superlu": SuperLU,
+    "cg": BlockJacobiCG,
+}
+SHAPES: Mapping[str, Callable[[Sequence[float], Sequence[int], str], Mesh]] = {"box": box, "rectangle": rectangle}
+# None: what the law's own rotation does
+INVERSIONS: Mapping[str, Callable[[], Treatment] | None] = {"flip": None, "last": Last, "crossing": Crossing}
+
+
+def _backward_euler(body: Body, dt: float, method: MethodSpec) -> Stepper:
+    return _guarded(BackwardEuler(body, dt, stage_solver(body, dt, method), _treatment(method)), body, method)
+
+
+def _bdf2(body: Body, dt: float, method: MethodSpec) -> Stepper:
+    first = BackwardEuler(body, dt, stage_solver(body, dt, method), _treatment(method))
+    rest = stage_solver(body, 2 * dt / 3, method)
+    return _guarded(BDF2(body, dt, first, rest, _treatment(method)), body, method)
+
+
+def _symplectic_euler(body: Body, dt: float, method: MethodSpec) -> Stepper:
+    return Guarded(body, SymplecticEuler(body, dt, _treatment(method)))
+
+
+STEPPERS: Mapping[str, Callable[[Body, float, MethodSpec], Stepper]] = {
+    "backward_euler": _backward_euler,
+    "bdf2": _bdf2,
+    "symplectic_euler": _symplectic_euler,
+}
+# steppers that are stable below a step only: a bound that accepts at once, and the limit itself [s]
+STEP_LIMITS: Mapping[str, tuple[Callable[[Body], float], Callable[[Body], float]]] = {
+    "symplectic_euler": (element_limit, true_limit),
+}
+
+
+def stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
+    """Return what solves the implicit stages of size h [s]: as far as the method's law and iterations ask."""
+    pattern, _ = body.free_pattern
+    solver = LINEAR_SOLVERS[method.linear_solver](pattern, method.linear_rtol)
+    if body.law.constant_tangent:
+        return Prefactored(body, solver, h)
+    if isinstance(method.iterations, int):
+        return FrozenPasses(body, solver, method.iterations)
+    limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
+    return Converged(body, solver, limits)
+
+
+def _treatment(method: MethodSpec) -> Treatment | None:
+    made = INVERSIONS[method.inversion]
+    return made() if made is not None else None
+
+
+def _guarded(stepper: Stepper, body: Body, method: MethodSpec) -> Stepper:
+    """Return the stepper, watched unless its energy is bounded by construction."""
+    bounded = body.law.constant_tangent or method.iterations == "converged"
+    return stepper if bounded else Guarded(body, stepper)
+
+
+# what `pipeline methods` prints: table, its key in a case file, and a line for every name
+DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
+    "method.law": {
+        "linear": "small strains and rotations; grows by 1/cos^2 of the angle; one factor for the whole run",
+        "corotational": "linear elasticity in each cell's own rotated frame",
+    },
+    "method.rotation": {
+        "polar": "closest rotation to F; independent of the axes; right for inverted and collapsed cells",
+        "gram_schmidt": "the thesis' choice: cheap, depends on the order of the axes, has no potential",
+    },
+    "method.stepper": {
+        "backward_euler": "implicit, order 1, L-stable, damps oscillations (32 % for the thesis' bar)",
+        "bdf2": "implicit, order 2, L-stable, damps far less; remembers one state",
+        "symplectic_euler": "explicit, order 1, no damping, no matrix; steps below a limit only (pipeline check)",
+    },
+    "method.iterations": {
+        "1, 2, …": "solves a step, each with the rotations before it; 1 is the thesis' method",
+        "converged": "Newton to method.tolerance; energy bounded; needs the polar rotation",
+    },
+    "method.mass": {
+        "consistent": "the element's own mass matrix",
+        "lumped": "the same mass on the nodes: a diagonal; what symplectic_euler takes",
+    },
+    "method.inversion": {
+        "flip": "inverted cells: the smallest singular value is negative; no history",
+        "last": "inverted cells: the rotation from before; for one solve",
+        "crossing": "inverted cells: the direction that collapsed is negative; for one solve",
+    },
+    "method.linear_solver": {
+        "auto": "chooses for you: superlu",
+        "superlu": "sparse direct, factors every new matrix",
+        "cg": "conjugate gradients with block Jacobi to method.linear_rtol: for small steps",
+    },
+    "mesh.shape": {"box": "tetrahedra, 6 a cell", "rectangle": "triangles, 2 a cell; plane strain"},
+}

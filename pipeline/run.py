@@ -1,0 +1,146 @@
+"""A run is an iterator of frames; recording is what drives it."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.build import Problem
+from pipeline.errors import SolveError
+from pipeline.fem.body import Body
+from pipeline.frame import Frame, Sink, Values
+from pipeline.measures import measure, spatial
+from pipeline.mesh.simplex import Floats
+from pipeline.stepping.state import State, Stepper, Work
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """What a recording was: frames, work, seconds of set-up, solving and writing apart, worst volume ratio."""
+
+    frames: int
+    steps: int
+    time: float
+    work: Work
+    setup_seconds: float
+    writing_seconds: float
+    worst_volume_ratio: float
+    worst_cell: int
+    worst_time: float
+
+    @property
+    def seconds_per_step(self) -> float:
+        """Return the solver's seconds a step; NaN before the first."""
+        return self.work.seconds / self.work.steps if self.work.steps else float("nan")
+
+
+def frames(problem: Problem, start: State | None = None) -> Iterator[Frame]:
+    """Yield the start's frame and one every steps_per_frame steps, to the end of the schedule.
+
+    Raises SolveError where a step fails; the frames before it stand. `work.seconds` of the first frame is the set-up.
+    """
+    state = problem.start if start is None else start
+    began = time.perf_counter()
+    stepper = problem.prepare()
+    yield _frame(problem, state, Work(seconds=time.perf_counter() - began))
+    for _ in range(state.step // problem.steps_per_frame, problem.frames):
+        work = Work()
+        for _ in range(problem.steps_per_frame):
+            state, done = _timed_step(stepper, state)
+            work += done
+        yield _frame(problem, state, work)
+
+
+def _timed_step(stepper: Stepper, state: State) -> tuple[State, Work]:
+    began = time.perf_counter()
+    at = f"at step {state.step + 1}, t = {(state.step + 1) * stepper.dt:g} s"
+    try:
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # judged by the next line instead
+            new, work = stepper.step(state)
+    except SolveError as error:
+        raise SolveError(f"{error} ({at})") from error
+    if not (np.isfinite(new.x).all() and np.isfinite(new.v).all()):
+        raise SolveError(f"positions are no longer finite {at}; try a smaller schedule.dt than {stepper.dt:g}")
+    return new, work + Work(seconds=time.perf_counter() - began)
+
+
+def _frame(problem: Problem, state: State, work: Work) -> Frame:
+    return Frame(
+        index=state.step // problem.steps_per_frame,
+        time=state.step * problem.dt,
+        mesh=problem.body.mesh,
+        x=state.x,
+        step=state.step,
+        v=state.v,
+        known=dynamics(problem.body, state) | {"newton_iterations": np.asarray(float(work.iterations))},
+        work=work,
+        state=state,
+    )
+
+
+def dynamics(body: Body, state: State) -> dict[str, Floats]:
+    """Return the energies [J] and momenta of a state, by the names of measures.VARIABLES."""
+    p = body.momentum(state.v)
+    turning = np.cross(spatial(state.x), spatial(p)).sum(axis=0)
+    return {
+        "kinetic_energy": np.asarray(0.5 * (state.v * p).sum()),
+        "elastic_energy": np.asarray(body.energy(state.x)),
+        "potential_energy": np.asarray(-(body.load * (state.x - body.mesh.points)).sum()),
+        "linear_momentum": spatial(p.sum(axis=0)),
+        "angular_momentum": turning,
+    }
+
+
+OnFrame = Callable[[Frame, Values, "RunSummary"], None]
+
+
+def record(source: Iterator[Frame], sinks: Sequence[Sink], *, on_frame: OnFrame | None = None) -> RunSummary:
+    """Drive frames into sinks and return what the run was; the sinks are closed whatever happens.
+
+    `on_frame` is called after each frame with the frame, its measures and the summary so far.
+    """
+    summary = RunSummary(0, 0, 0.0, Work(), 0.0, 0.0, 1.0, 0, 0.0)
+    try:
+        for frame in source:
+            began = time.perf_counter()
+            measured = measure(frame)
+            for sink in sinks:
+                sink.write(frame, measured)
+            summary = _continued(summary, frame, measured, time.perf_counter() - began)
+            if on_frame is not None:
+                on_frame(frame, measured, summary)
+    finally:
+        _close(sinks)
+    return summary
+
+
+def _close(sinks: Sequence[Sink]) -> None:
+    """Close every sink; the first failure is raised after the others had their turn."""
+    failures = []
+    for sink in sinks:
+        try:
+            sink.close()
+        except Exception as error:
+            failures.append(error)
+    if failures:
+        raise failures[0]
+
+
+def _continued(summary: RunSummary, frame: Frame, measured: Values, writing: float) -> RunSummary:
+    ratio = measured["volume_ratio"]
+    cell = int(np.abs(ratio - 1).argmax())
+    worse = abs(ratio[cell] - 1) > abs(summary.worst_volume_ratio - 1)
+    work = frame.work or Work()
+    setup = work.seconds if not summary.frames else summary.setup_seconds
+    return RunSummary(
+        frames=summary.frames + 1,
+        steps=frame.step or 0,
+        time=frame.time,
+        work=summary.work + work if summary.frames else Work(),
+        setup_seconds=setup,
+        writing_seconds=summary.writing_seconds + writing,
+        worst_volume_ratio=float(ratio[cell]) if worse else summary.worst_volume_ratio,
+        worst_cell=cell if worse else summary.worst_cell,
+        worst_time=frame.time if worse else summary.worst_time,
+    )

@@ -1,0 +1,78 @@
+"""statistics.nc: the numbers of every frame, appended and synced, so that a killed run keeps all its frames."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import OutputError
+from pipeline.frame import Frame, Values
+from pipeline.measures import QUANTILES, VARIABLES, units
+from pipeline.mesh.simplex import Mesh
+
+_SCALAR_CHUNK = 256  # frames; the default of one would make a chunk, and its index entry, of every number
+
+
+class NetcdfSink:
+    """Appends frames to one netCDF file (CF-1.11, float64)."""
+
+    def __init__(self, path: Path, *, title: str) -> None:
+        self.path = Path(path)
+        self.title = title
+        self._dataset: Any = None
+        self._count = 0
+
+    def write(self, frame: Frame, measured: Values) -> None:
+        """Append one frame and sync it to the disk."""
+        try:
+            if self._dataset is None:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                self._dataset = _created(self.path, frame.mesh, measured, self.title)
+            self._dataset["time"][self._count] = frame.time
+            for name, value in measured.items():
+                self._dataset[name][self._count] = value
+            self._dataset.sync()
+        except (OSError, RuntimeError) as error:
+            raise OutputError(f"{self.path}: cannot be written ({error})") from error
+        self._count += 1
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._dataset is not None:
+            dataset, self._dataset = self._dataset, None
+            try:
+                dataset.close()
+            except (OSError, RuntimeError) as error:
+                raise OutputError(f"{self.path}: cannot be closed ({error})") from error
+
+
+def _created(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
+    """Return a new dataset with every dimension, coordinate and variable, and the rest volumes."""
+    import netCDF4
+
+    out = netCDF4.Dataset(path, "w", format="NETCDF4")
+    out.Conventions = "CF-1.11"
+    out.title = title
+    sizes = {"time": None, "cell": len(mesh.cells), "axis": 3, "quantile": len(QUANTILES)}
+    for name, size in sizes.items():
+        out.createDimension(name, size)
+    _coordinate(out, "time", np.zeros(0), "s", "time since the start", chunk=_SCALAR_CHUNK).axis = "T"
+    _coordinate(out, "quantile", np.array(QUANTILES), "1", "quantile of cells")
+    out.createVariable("axis", str, ("axis",))[:] = np.array(["x", "y", "z"], dtype=object)
+    rest = out.createVariable("rest_volume", "f8", ("cell",))
+    rest.units, rest.long_name = ("m2" if mesh.dimension == 2 else "m3"), "rest volume of the cell"
+    rest[:] = mesh.rest_volumes
+    for name in measured:
+        variable = VARIABLES[name]
+        lengths = [sizes[dim] or 1 for dim in variable.dims]
+        chunks = (1 if "cell" in variable.dims else _SCALAR_CHUNK, *lengths)
+        made = out.createVariable(name, "f8", ("time", *variable.dims), chunksizes=chunks)
+        made.units, made.long_name = units(name, mesh.dimension), variable.long_name
+    return out
+
+
+def _coordinate(out: Any, name: str, values: Any, unit: str, long_name: str, chunk: int | None = None) -> Any:
+    made = out.createVariable(name, "f8", (name,), chunksizes=(chunk,) if chunk else None)
+    made.units, made.long_name = unit, long_name
+    made[:] = values
+    return made

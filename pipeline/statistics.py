@@ -1,0 +1,92 @@
+"""Datasets of volume statistics: of one series, and of several variants joined along `method`."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.errors import SeriesError
+from pipeline.measures import QUANTILES, VARIABLES, measure, units
+from pipeline.series import Series
+from pipeline.sinks.atomic import whole_file
+
+if TYPE_CHECKING:
+    import xarray
+
+# of the times of two variants: what separates i * dt computed with another dt
+_SAME_TIME = 1e-12
+
+
+def series_statistics(series: Series) -> "xarray.Dataset":
+    """Return the dataset of a series, measured anew from its points; the same names as statistics.nc."""
+    import xarray
+
+    mesh = series.mesh
+    rows = [measure(frame) for frame in series]
+    names = [name for name in VARIABLES if all(name in row for row in rows)]
+    data = {
+        name: (
+            ("time", *VARIABLES[name].dims),
+            np.stack([row[name] for row in rows]),
+            {"units": units(name, mesh.dimension), "long_name": VARIABLES[name].long_name},
+        )
+        for name in names
+    }
+    rest = (("cell",), mesh.rest_volumes, {"units": "m2" if mesh.dimension == 2 else "m3"})
+    times = ("time", np.array(series.times), {"units": "s", "long_name": "time since the start"})
+    coords = {
+        "time": times,
+        "quantile": ("quantile", np.array(QUANTILES), {"units": "1"}),
+        "axis": list("xyz"),
+    }
+    return xarray.Dataset({"rest_volume": rest, **data}, coords, {"Conventions": "CF-1.11", "title": series.name})
+
+
+def read_statistics(path: Path) -> "xarray.Dataset":
+    """Return the dataset of a statistics.nc, loaded and closed; raises SeriesError where it cannot be read."""
+    import xarray
+
+    try:
+        with xarray.open_dataset(path, engine="netcdf4") as dataset:
+            return dataset.load()
+    except (OSError, ValueError) as error:
+        raise SeriesError(f"{path}: cannot be read ({error})") from error
+
+
+def joined(datasets: Mapping[str, "xarray.Dataset"], *, title: str) -> tuple["xarray.Dataset", list[str]]:
+    """Return the variants of one mesh joined along `method`, and a note for each that had to be left out.
+
+    The times are those of the longest variant; one that stopped early is NaN after its last frame.
+    """
+    import xarray
+
+    longest = max(datasets, key=lambda name: datasets[name].sizes["time"])
+    reference = datasets[longest]
+    times = reference["time"].values
+    kept, notes = {}, []
+    for name, dataset in datasets.items():
+        count = dataset.sizes["time"]
+        if not np.array_equal(dataset["rest_volume"].values, reference["rest_volume"].values):
+            notes.append(f"{name} is left out of the comparison: its mesh is not that of {longest}")
+        elif not np.allclose(dataset["time"].values, times[:count], rtol=_SAME_TIME, atol=_SAME_TIME * times[-1]):
+            notes.append(f"{name} is left out of the comparison: its frame times are not those of {longest}")
+        else:
+            kept[name] = dataset.assign_coords(time=reference["time"][:count]).reindex(time=reference["time"])
+    rest = reference["rest_volume"]
+    methods = xarray.Variable("method", np.array(list(kept), dtype=object), {"long_name": "variant of the case"})
+    out = xarray.concat(
+        [dataset.drop_vars("rest_volume") for dataset in kept.values()],
+        dim=methods,
+        join="exact",
+        combine_attrs="drop_conflicts",
+    )
+    out["rest_volume"] = rest
+    out.attrs = {"Conventions": "CF-1.11", "title": title}
+    return out, notes
+
+
+def write_dataset(dataset: "xarray.Dataset", path: Path) -> None:
+    """Write a dataset as one whole netCDF file; raises OutputError."""
+    with whole_file(path) as hidden:
+        dataset.to_netcdf(hidden, engine="netcdf4", format="NETCDF4")

@@ -1,0 +1,44 @@
+r"""BDF2: with v_h = (4 v_n - v_{n-1})/3, x_h = (4 x_n - x_{n-1})/3, h = 2 dt/3
+
+    M (v - v_h) = h (f_ext + f_el(x_h + h v)),    x_{n+1} = x_h + h v
+
+Order 2, L-stable for the linear law; started by one step of backward Euler. One solve linearises at the extrapolated
+x* = 2 x_n - x_{n-1}, which keeps order 2. On one mode the larger root of (3/2 - 2/G + 1/(2 G^2))^2 = -z^2 is G.
+Not for impacts: it remembers the state before.
+"""
+
+from dataclasses import dataclass
+
+from pipeline.fem.body import Body
+from pipeline.stepping.backward_euler import BackwardEuler
+from pipeline.stepping.implicit import Stage, StageSolver
+from pipeline.stepping.inversion import Treatment, tracked_rotations
+from pipeline.stepping.state import State, Work
+
+
+@dataclass(frozen=True, eq=False)
+class BDF2:
+    """A stepper; `first` makes the first step, memory carries `x_before` and `v_before`."""
+
+    body: Body
+    dt: float
+    first: BackwardEuler
+    stage_solver: StageSolver
+    treatment: Treatment | None = None
+
+    def step(self, state: State) -> tuple[State, Work]:
+        """Return the state dt later."""
+        memory = {"x_before": state.x, "v_before": state.v}
+        if state.step == 0:
+            began, work = self.first.step(state)
+            return State(1, began.x, began.v, {**began.memory, **memory}), work
+        x, v = state.x, state.v
+        x_before, v_before = state.memory["x_before"], state.memory["v_before"]
+        x_h, v_h, h = (4 * x - x_before) / 3, (4 * v - v_before) / 3, 2 * self.dt / 3
+        held = self.body.supports.positions(self.body.mesh.points, (state.step + 1) * self.dt)
+        extrapolated = 2 * x - x_before
+        R, remembered = tracked_rotations(self.treatment, self.body, extrapolated, state)
+        v_new, work = self.stage_solver.solve(Stage(x_h, v_h, h, extrapolated, held, R))
+        x_new = x_h + h * v_new
+        x_new[self.body.supports.nodes] = held
+        return State(state.step + 1, x_new, v_new, {**remembered, **memory}), work + Work(steps=1)

@@ -1,0 +1,74 @@
+"""The energy guard: stops a method that blows up while its numbers are still finite.
+
+Kinetic + elastic energy above 10 x (its start + |work of loads and supports| so far, at least a natural scale) after
+three steps in a row is a SolveError. The elastic part costs a pass over the cells, so it is looked at only where the
+kinetic part alone exceeds a tenth of that bound: what blows up, moves.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.errors import SolveError
+from pipeline.fem.body import Body
+from pipeline.stepping.state import State, Stepper, Work
+
+_FACTOR = 10.0
+_STRIKES = 3
+# the energy of a uniform strain of about 1e-5: motions below it are rounding and noise to a user
+_NATURAL_STRAIN = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Guarded:
+    """A stepper that watches another; `guard` in memory is (energy at the start, |work of supports|, strikes)."""
+
+    body: Body
+    stepper: Stepper
+
+    @property
+    def dt(self) -> float:
+        """Return the step's size [s]."""
+        return self.stepper.dt
+
+    def step(self, state: State) -> tuple[State, Work]:
+        """Return the state dt later; raises SolveError where the energy has no source."""
+        start, supplied, strikes = state.memory.get("guard", (self._energy(state), 0.0, 0.0))
+        new, work = self.stepper.step(state)
+        supplied += self._supports_work(state, new)
+        from_loads = abs((self.body.load * (new.x - self.body.mesh.points)).sum())
+        bound = max(start + supplied + from_loads, self._natural_scale())
+        kinetic = self._kinetic(new)
+        if kinetic > bound and kinetic + self.body.energy(new.x) > _FACTOR * bound:
+            strikes += 1
+        else:
+            strikes = 0.0
+        if strikes >= _STRIKES:
+            raise SolveError(
+                f"the energy has no source: {kinetic + self.body.energy(new.x):.3g} J, more than {_FACTOR:g} x the "
+                f"{bound:.3g} J that start, loads and supports brought; try a smaller schedule.dt than {self.dt:g}, "
+                f'or method.iterations = "converged"'
+            )
+        memory = {**new.memory, "guard": np.array([start, supplied, strikes])}
+        return State(new.step, new.x, new.v, memory), work
+
+    def _kinetic(self, state: State) -> float:
+        return float(0.5 * (state.v * self.body.momentum(state.v)).sum())
+
+    def _energy(self, state: State) -> float:
+        from_loads = abs((self.body.load * (state.x - self.body.mesh.points)).sum())
+        return self._kinetic(state) + self.body.energy(state.x) + float(from_loads)
+
+    def _natural_scale(self) -> float:
+        m = self.body.material
+        return _NATURAL_STRAIN**2 * (m.lam + 2 * m.mu) * float(self.body.mesh.rest_volumes.sum())
+
+    def _supports_work(self, old: State, new: State) -> float:
+        """Return |reaction . motion| of the held nodes in a step [J]; nothing is computed where none moves."""
+        held = self.body.supports.nodes
+        moved = new.x[held] - old.x[held]
+        if not self.body.supports.motions or not moved.any():
+            return 0.0
+        inertia = self.body.momentum(new.v - old.v)[held] / self.dt
+        reaction = inertia - self.body.force(new.x)[held] - self.body.load[held]
+        return float(np.abs((reaction * moved).sum(axis=1)).sum())

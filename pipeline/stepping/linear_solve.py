@@ -1,0 +1,84 @@
+"""Linear systems A x = b on the free nodes of a body: symmetric block matrices of one pattern, many values.
+
+superlu    sparse LU, symmetric mode with a minimum-degree order of A + A^T; a factor per matrix, any conditioning
+cg         conjugate gradients with block Jacobi; no factor: for small steps, where few iterations suffice
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, cg, splu
+
+from pipeline.errors import SolveError
+from pipeline.fem.assembly import BlockPattern
+from pipeline.mesh.simplex import Floats
+from pipeline.stepping.state import Work
+
+
+class LinearSolver(Protocol):
+    """A solver prepared for one pattern; it holds the last matrix that `update` gave it."""
+
+    def update(self, values: Floats) -> Work:
+        """Take the matrix with these values (blocks, d, d); raises SolveError where it is singular."""
+        ...
+
+    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
+        """Return x (n, d) with A x = b (n, d); iterative solvers start at guess."""
+        ...
+
+
+@dataclass(eq=False)
+class SuperLU:
+    """A sparse direct solve."""
+
+    pattern: BlockPattern
+    rtol: float
+
+    def update(self, values: Floats) -> Work:
+        """Factor the matrix."""
+        try:
+            self._factor = splu(
+                self.pattern.matrix(values).tocsc(),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:
+            raise SolveError(f"the system's matrix is singular ({error})") from error
+        return Work(factorisations=1)
+
+    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
+        """Return the solution by substitution; the guess is not used."""
+        return self._factor.solve(b.ravel()).reshape(b.shape), Work(solves=1)
+
+
+@dataclass(eq=False)
+class BlockJacobiCG:
+    """Conjugate gradients, preconditioned by the inverse diagonal blocks."""
+
+    pattern: BlockPattern
+    rtol: float
+
+    def update(self, values: Floats) -> Work:
+        """Take the matrix and invert its diagonal blocks."""
+        self._matrix = self.pattern.matrix(values)
+        try:
+            self._inverse = np.linalg.inv(values[self.pattern.indices == self.pattern.rows])
+        except np.linalg.LinAlgError as error:
+            raise SolveError("a diagonal block of the system's matrix is singular") from error
+        return Work()
+
+    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
+        """Return the solution to a relative residual of rtol; raises SolveError where that is not reached."""
+        d = self.pattern.dimension
+
+        def precondition(r: Floats) -> Floats:
+            return (self._inverse @ r.reshape(-1, d, 1)).ravel()
+
+        M = LinearOperator((b.size, b.size), matvec=precondition)
+        limit = max(1000, 10 * b.size)
+        x, info = cg(self._matrix, b.ravel(), x0=guess.ravel(), rtol=self.rtol, maxiter=limit, M=M)
+        if info:
+            raise SolveError(f"conjugate gradients did not reach {self.rtol:g} in {limit} iterations")
+        return x.reshape(b.shape), Work(solves=1)

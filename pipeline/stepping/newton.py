@@ -1,0 +1,143 @@
+r"""The converged stage: Newton's method on the incremental potential, with backtracking.
+
+    phi(x) = |x - y|_M^2 / (2 h^2) + W(x) - f_ext . x,    y = x_h + h v_h,    supported nodes given
+    grad phi = M (x - y) / h^2 + grad W - f_ext,          v = (x - x_h) / h
+
+Its minimum is the stage's solution. From x_n every accepted iterate lowers phi, so the energy after a step of
+backward Euler is bounded by the energy before it. From the predictor y it takes 3 to 4 iterations where it converges,
+so that is tried first and kept only if it ends no higher than phi(x_n).
+
+tangent = "projected" always descends; "exact" converges quadratically but may not descend in compression;
+"frozen" (K' of the thesis) converges linearly. The last two are there to be studied.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.errors import SolveError
+from pipeline.fem.body import Body
+from pipeline.fem.laws import Tangent
+from pipeline.mesh.simplex import Floats
+from pipeline.stepping.implicit import Stage, StageSystem
+from pipeline.stepping.linear_solve import LinearSolver
+from pipeline.stepping.state import Work
+
+_PREDICTOR_ITERATIONS = 15  # where the predictor is good it needs 3 to 6
+_SUFFICIENT = 1e-4  # Armijo: the part of the predicted decrease that a step must bring
+_SHORTEST = 2.0**-30  # a shorter step is lost in the rounding of phi
+# forces cancel to rounding, about 1e-16 of the stiffest cell's force per unit strain, summed over some cells
+_ROUNDING = 1e-13
+_DIGITS = 1e-13  # of phi: its terms cancel, and each is a sum over cells
+
+
+@dataclass(frozen=True)
+class NewtonLimits:
+    """Where the iteration stops: residual over the forces' size [1], iterations, and which tangent it uses."""
+
+    tolerance: float
+    iterations: int
+    tangent: Tangent = "projected"
+
+
+@dataclass(frozen=True, eq=False)
+class _Descent:
+    """How one attempt ended: x (n, d), phi [J], the residual over its scale [1], and the work."""
+
+    x: Floats
+    phi: float
+    residual: float
+    converged: bool
+    work: Work
+
+
+class Converged:
+    """Solves stages to a residual tolerance."""
+
+    def __init__(self, body: Body, solver: LinearSolver, limits: NewtonLimits) -> None:
+        self.body = body
+        self.limits = limits
+        self.system = StageSystem(body, solver)
+        m = body.material
+        # a force that strain of one would make: what rounding is measured by
+        self._stiff = (2 * m.mu + abs(m.lam)) * body.mesh.rest_volumes.max() ** (
+            (body.mesh.dimension - 1) / body.mesh.dimension
+        )
+
+    def solve(self, stage: Stage) -> tuple[Floats, Work]:
+        """Return v at the minimum of phi; raises SolveError with the residual where the limit is reached."""
+        predictor = self._held(stage.x_h + stage.h * stage.v_h, stage)
+        first = self.descend(predictor, stage, min(_PREDICTOR_ITERATIONS, self.limits.iterations))
+        safe = self._held(stage.start, stage)
+        if first.converged and first.phi <= self.potential(safe, stage) + abs(first.phi) * 1e-12:
+            return (first.x - stage.x_h) / stage.h, first.work
+        found = self.descend(safe, stage, self.limits.iterations)
+        work = first.work + found.work
+        if not found.converged:
+            raise SolveError(
+                f"Newton did not reach {self.limits.tolerance:g} in {self.limits.iterations} iterations "
+                f"(residual {found.residual:.2g}); try a smaller schedule.dt or a larger method.max_iterations"
+            )
+        return (found.x - stage.x_h) / stage.h, work
+
+    def potential(self, x: Floats, stage: Stage) -> float:
+        """Return phi(x) [J]."""
+        return float(sum(self._terms(x, stage)))
+
+    def _terms(self, x: Floats, stage: Stage) -> tuple[float, float, float]:
+        away = x - (stage.x_h + stage.h * stage.v_h)
+        inertia = (away * self.body.momentum(away)).sum() / (2 * stage.h**2)
+        return float(inertia), self.body.energy(x), -float((self.body.load * (x - self.body.mesh.points)).sum())
+
+    def descend(self, x: Floats, stage: Stage, limit: int) -> _Descent:
+        """Return where at most `limit` iterations from x lead."""
+        phi, work = self.potential(x, stage), Work()
+        for iteration in range(limit + 1):
+            f, K = self.body.linearise(x, kind=self.limits.tangent)
+            r, relative = self._residual(x, f, stage)
+            if relative <= self.limits.tolerance or iteration == limit or not np.isfinite(relative):
+                break
+            dx, solved = self._direction(r, K, stage)
+            x, phi, moved = self._search(x, dx, phi, -float((r * dx).sum()), stage)
+            work += solved + Work(iterations=1, rotations=1)
+            if not moved:
+                f = self.body.force(x)
+                r, relative = self._residual(x, f, stage)
+                break
+        return _Descent(x, phi, relative, relative <= self.limits.tolerance, work)
+
+    def _held(self, x: Floats, stage: Stage) -> Floats:
+        out = x.copy()
+        out[self.body.supports.nodes] = stage.held
+        return out
+
+    def _residual(self, x: Floats, f: Floats, stage: Stage) -> tuple[Floats, float]:
+        """Return -grad phi (n, d) [N], zero on held nodes, and its norm over that of the forces in it."""
+        body = self.body
+        momentum = body.momentum((x - stage.x_h) / stage.h - stage.v_h)
+        r = body.load + f - momentum / stage.h
+        r[body.supports.nodes] = 0.0
+        size = np.linalg.norm(body.momentum(stage.v_h)) / stage.h + np.linalg.norm(body.load) + np.linalg.norm(f)
+        floor = _ROUNDING / self.limits.tolerance * self._stiff * np.sqrt(x.size)
+        return r, float(np.linalg.norm(r) / max(size, floor))
+
+    def _direction(self, r: Floats, K: Floats, stage: Stage) -> tuple[Floats, Work]:
+        """Return the Newton step dx (n, d): (M/h^2 + K) dx = r on the free nodes."""
+        work = self.system.update(K, stage.h)
+        dx = np.zeros_like(r)
+        free = self.body.free
+        dx[free], solved = self.system.solver.solve(stage.h**2 * r[free], dx[free])
+        return dx, work + solved
+
+    def _search(self, x: Floats, dx: Floats, phi: float, slope: float, stage: Stage) -> tuple[Floats, float, bool]:
+        """Return x + s dx with the first s of 1, 1/2, … that lowers phi enough, its phi, and whether there was one."""
+        # at the solution phi no longer changes in its digits; a step that promises less than those is taken whole
+        noise = _DIGITS * sum(abs(term) for term in self._terms(x, stage))
+        s = 1.0
+        while s >= _SHORTEST:
+            trial = x + s * dx
+            value = self.potential(trial, stage)
+            if value <= phi + _SUFFICIENT * s * min(slope, 0.0) + noise:
+                return trial, value, True
+            s /= 2
+        return x, phi, False

@@ -1,0 +1,55 @@
+"""What a stepper carries from step to step, and what it counts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.mesh.simplex import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Positions x (n, d) [m] and velocities v (n, d) [m/s] after `step` steps; time is step * dt.
+
+    `memory` is all else that the method carries, as plain named arrays.
+    """
+
+    step: int
+    x: Floats
+    v: Floats
+    memory: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Work:
+    """What was done: counts that machines share, and the seconds that they do not.
+
+    `iterations` counts the linear systems' right-hand sides posed (Newton iterations); `solves` the
+    systems solved for them; `seconds` is solving alone, without measuring or writing.
+    """
+
+    steps: int = 0
+    solves: int = 0
+    iterations: int = 0
+    factorisations: int = 0
+    rotations: int = 0
+    seconds: float = 0.0
+
+    def __add__(self, other: "Work") -> "Work":
+        return Work(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+
+class Stepper(Protocol):
+    """Advances a prepared body by one step of size dt."""
+
+    @property
+    def dt(self) -> float:
+        """Return the step's size [s]."""
+        ...
+
+    def step(self, state: State) -> tuple[State, Work]:
+        """Return the state one step later and the work it took; raises SolveError."""
+        ...

@@ -1,0 +1,84 @@
+r"""Symplectic Euler (W): v += dt/m (f_el(x) + f_ext), x += dt v, with lumped masses; no matrix.
+
+Order 1, but no damping: energy oscillates about its value. Stable for dt < 2 / omega_max only. Not for stiff bodies
+with large steps; it is the cheapest step there is.
+
+    element bound    omega_max <= max_e omega_e, the largest frequency of a cell alone, free, with its lumped mass
+    true limit       omega_max of the whole body at rest, supports held (Lanczos)
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
+
+from pipeline.errors import SolveError
+from pipeline.fem.body import Body
+from pipeline.fem.element import stiffness_blocks
+from pipeline.mesh.simplex import Floats
+from pipeline.stepping.inversion import Treatment, tracked_rotations
+from pipeline.stepping.state import State, Work
+
+
+@dataclass(frozen=True, eq=False)
+class SymplecticEuler:
+    """A stepper; it does not look at its own limit, methods.py does."""
+
+    body: Body
+    dt: float
+    treatment: Treatment | None = None
+
+    def step(self, state: State) -> tuple[State, Work]:
+        """Return the state dt later."""
+        body = self.body
+        held = body.supports.nodes
+        R, memory = tracked_rotations(self.treatment, body, state.x, state)
+        f = body.force(state.x, R)
+        v = state.v + (self.dt / body.lumped_mass)[:, None] * (f + body.load)
+        where = body.supports.positions(body.mesh.points, (state.step + 1) * self.dt)
+        v[held] = (where - state.x[held]) / self.dt
+        x = state.x + self.dt * v
+        x[held] = where
+        return State(state.step + 1, x, v, memory), Work(steps=1, rotations=int(not body.law.constant_tangent))
+
+
+def element_limit(body: Body) -> float:
+    """Return 2 / max_e omega_e [s]: a step below it is stable about rest, whatever the supports."""
+    K, m = _cell_matrices(body)
+    scaled = K / np.sqrt(m)[:, :, None] / np.sqrt(m)[:, None, :]
+    return float(2 / np.sqrt(np.linalg.eigvalsh(scaled)[:, -1].max()))
+
+
+def true_limit(body: Body) -> float:
+    """Return 2 / omega_max [s] of the body at rest; raises SolveError where Lanczos does not converge."""
+    _, K = body.linearise(body.mesh.points)
+    pattern, blocks = body.free_pattern
+    matrix = pattern.matrix(K[blocks])
+    root = np.repeat(np.sqrt(body.lumped_mass[body.free]), pattern.dimension)
+    operator = LinearOperator(matrix.shape, matvec=lambda u: (matrix @ (u.ravel() / root)) / root, dtype=np.float64)
+    if matrix.shape[0] < 3:
+        return float(2 / np.sqrt(np.linalg.eigvalsh(operator @ np.eye(matrix.shape[0])).max()))
+    start = np.random.default_rng(0).standard_normal(matrix.shape[0])
+    try:
+        largest = eigsh(
+            operator, 1, which="LA", v0=start, return_eigenvectors=False, tol=1e-10, ncv=min(40, matrix.shape[0])
+        )
+    except ArpackError as error:
+        raise SolveError(
+            f"the largest frequency was not found ({error}); give schedule.dt below the element bound"
+        ) from error
+    return float(2 / np.sqrt(largest[0]))
+
+
+def _cell_matrices(body: Body) -> tuple[Floats, Floats]:
+    """Return every cell's stiffness (e, k, k) at rest and its lumped masses (e, k), k = (d + 1) d.
+
+    A node's mass in the whole body is the sum of its cells', which is what makes the bound hold.
+    """
+    mesh = body.mesh
+    e, corners = mesh.cells.shape
+    d = mesh.dimension
+    one = np.broadcast_to(np.eye(d), (e, d, d))
+    K = stiffness_blocks(mesh, body.law.tangent(one, one)).reshape(e, corners * d, corners * d)
+    share = body.material.density * mesh.rest_volumes / corners
+    return K, np.repeat(share[:, None], corners * d, axis=1)

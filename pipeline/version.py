@@ -1,0 +1,8 @@
+"""The version of the installed distribution."""
+
+from importlib.metadata import PackageNotFoundError, version
+
+try:
+    VERSION = version("corotational-pipeline")
+except PackageNotFoundError:  # run from a source tree that was never installed
+    VERSION = "0+unknown"

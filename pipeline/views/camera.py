@@ -1,0 +1,49 @@
+"""One parallel camera for all panels, fixed on the bounds of the whole motion."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.mesh.simplex import Floats
+from pipeline.views.motion import Track, drawn_points
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Where the camera stands, and the rectangle [left, right] x [bottom, top] of its plane that is in use [m]."""
+
+    toward: Floats  # unit vectors: to the viewer, to the right, up
+    right: Floats
+    up: Floats
+    low: Floats  # of the drawn points along right, up, toward (3,)
+    high: Floats
+
+    @property
+    def centre(self) -> Floats:
+        """Return the middle of the bounds, in space."""
+        middle = (self.low + self.high) / 2
+        return np.asarray(middle @ np.stack([self.right, self.up, self.toward]))
+
+    def pixel_size(self, width: float, height: float) -> float:
+        """Return metres a pixel such that everything fits into a panel with a margin of 3 %."""
+        across, upward = np.maximum(self.high - self.low, 1e-12)[:2]
+        return float(max(across / width, upward / height) / 0.94)
+
+
+def fit_camera(tracks: Sequence[Track]) -> Camera:
+    """Return the camera for bodies: z up, the longer of x and y to the side; in the plane y up, seen along -z."""
+    points = np.concatenate([drawn_points(track) for track in tracks])
+    if all(track.dimension == 2 for track in tracks):
+        toward, upward = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+    else:
+        extent = np.ptp(tracks[0].rest, axis=0)
+        # turned and raised a little, so that the side, the top and the end at the origin are seen
+        toward = np.array([-0.42, -1.0, 0.34]) if extent[0] > 1.5 * extent[1] else np.array([1.0, -0.42, 0.34])
+        upward = np.array([0.0, 0.0, 1.0])
+    toward = toward / np.linalg.norm(toward)
+    right = np.cross(upward, toward)
+    right /= np.linalg.norm(right)
+    up = np.cross(toward, right)
+    seen = points @ np.stack([right, up, toward]).T
+    return Camera(toward, right, up, seen.min(axis=0), seen.max(axis=0))

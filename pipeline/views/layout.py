@@ -1,0 +1,77 @@
+"""Where things stand on a page of any size: title, a grid of panels, footer; in whole pixels."""
+
+from dataclasses import dataclass
+
+from pipeline.views.camera import Camera
+
+Rect = tuple[int, int, int, int]  # left, top, right, bottom
+GRIDS = {1: ((1, 1),), 2: ((1, 2), (2, 1)), 3: ((1, 3), (3, 1)), 4: ((1, 4), (2, 2))}  # rows, columns
+TITLE, HEADER, CURVE, FOOTER = 58, 54, 62, 100  # heights at 720 lines
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A page: a panel has its label and numbers above the scene, and the curve of total volume below it."""
+
+    size: tuple[int, int]
+    rows: int
+    columns: int
+    count: int
+
+    @property
+    def unit(self) -> float:
+        """Return pixels for each pixel of a 1280 x 720 page."""
+        return min(self.size[0] / 1280, self.size[1] / 720)
+
+    @property
+    def footer(self) -> int:
+        """Return the line at which the footer begins."""
+        return self.size[1] - round(FOOTER * self.unit)
+
+    @property
+    def panels(self) -> list[Rect]:
+        """Return the rectangle of every panel, row by row."""
+        top = round(TITLE * self.unit)
+        width, height = self.size[0] // self.columns, (self.footer - top) // self.rows
+        return [
+            ((i % self.columns) * width, top + (i // self.columns) * height,
+             (i % self.columns + 1) * width, top + (i // self.columns + 1) * height)
+            for i in range(self.count)
+        ]  # fmt: skip
+
+    @property
+    def rules(self) -> list[Rect]:
+        """Return the lines between panels."""
+        gap, lines = round(8 * self.unit), []
+        for left, top, right, bottom in self.panels:
+            if right < self.size[0] - self.columns:
+                lines.append((right, top + gap, right, bottom - gap))
+            if bottom < self.footer - self.rows:
+                lines.append((left + gap, bottom, right - gap, bottom))
+        return lines
+
+    def scene(self, panel: Rect) -> Rect:
+        """Return where the body of a panel is drawn; a pixel is left for the rules at the sides."""
+        left, top, right, bottom = panel
+        return left + 2, top + round(HEADER * self.unit), right - 2, bottom - round(CURVE * self.unit)
+
+    def curve(self, panel: Rect) -> Rect:
+        """Return the axes of a panel's curve, without its texts."""
+        left, _, right, bottom = panel
+        s, width = self.unit, right - left
+        margin = max(0.06 * width, 16 * s)
+        return (
+            round(left + margin + 108 * s), bottom - round(42 * s), round(right - margin), bottom - round(14 * s)
+        )  # fmt: skip
+
+
+def choose_layout(count: int, size: tuple[int, int], camera: Camera) -> Layout:
+    """Return the grid in which bodies are largest; side by side unless another is a third better."""
+
+    def metres(layout: Layout) -> float:
+        left, top, right, bottom = layout.scene(layout.panels[0])
+        return camera.pixel_size(max(right - left, 1), max(bottom - top, 1))
+
+    layouts = [Layout(size, rows, columns, count) for rows, columns in GRIDS[count]]
+    best = min(layouts, key=metres)
+    return best if metres(best) * 4 / 3 < metres(layouts[0]) else layouts[0]

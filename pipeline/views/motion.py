@@ -1,0 +1,128 @@
+"""The drawable part of a recorded series: its surface in every frame, and the numbers written beside it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
+from pipeline.mesh.surface import boundary_faces
+from pipeline.series import Series
+
+# half-widths of a colour range that give readable ticks; 1 is the last, as its lower end is V = 0
+RADII = (0.02, 0.04, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
+SAMPLED_CELLS = 2000  # a frame's share in the colour range: enough for a quantile, whatever the mesh
+EXPLODED = 20.0  # a frame this many rest sizes wide is a blown-up one: fitting it would shrink the rest to a dot
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """All frames of one panel. Surface only and in single precision: a long motion fits into memory.
+
+    faces (f, 3) name rows of rest (s, 3) and of points (t, s, 3); ratio (t, f) is that of the owner cell.
+    """
+
+    label: str
+    dimension: int
+    times: Floats
+    faces: Ints
+    rest: NDArray[np.float32]
+    points: NDArray[np.float32]
+    ratio: NDArray[np.float32]
+    total: Floats  # total volume over total rest volume (t,)
+    low: Floats  # smallest and largest volume ratio of all cells, inner ones too (t,)
+    high: Floats
+    inverted: Ints  # number of inverted cells (t,)
+    sample: NDArray[np.float32]  # |J - 1| of some cells of every frame
+
+    @property
+    def worst(self) -> Floats:
+        """Return the largest |J - 1| of every frame (t,)."""
+        return np.maximum(self.high - 1, 1 - self.low)
+
+    def at(self, time: float) -> int:
+        """Return the index of the last frame that is not later than a time, or 0 before the first."""
+        # sums of steps differ from products of them by rounding: 1e-9 of the span is far below any frame interval
+        slack = 1e-9 * max(float(np.ptp(self.times)), abs(time))
+        return max(int(np.searchsorted(self.times, time + slack, side="right")) - 1, 0)
+
+    def ends_before(self, end: float) -> bool:
+        """Return whether at least one frame is missing between the last one and a time."""
+        last = float(np.diff(self.times[-2:])[0]) if len(self.times) > 1 else 0.0
+        return bool(end - self.times[-1] > max(0.5 * last, 1e-9 * abs(end)))
+
+
+def surface(mesh: Mesh) -> tuple[Ints, Ints]:
+    """Return the triangles that are drawn (f, 3) and the cell that each shows (f,)."""
+    if mesh.dimension == 2:
+        return mesh.cells, np.arange(len(mesh.cells))
+    return boundary_faces(mesh)
+
+
+def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda: None) -> Track:
+    """Return the whole motion of a series, each file read once; raises SeriesError where one cannot be."""
+    mesh = series.mesh
+    faces, owner = surface(mesh)
+    nodes, local = np.unique(faces, return_inverse=True)
+    count, rest_total = len(series), mesh.rest_volumes.sum()
+    points = np.zeros((count, len(nodes), 3), dtype=np.float32)
+    shown = np.empty((count, len(faces)), dtype=np.float32)
+    total, low, high = (np.empty(count) for _ in range(3))
+    inverted = np.empty(count, dtype=np.int64)
+    sample = []
+    for i, frame in enumerate(series):
+        volumes = signed_volumes(frame.x, mesh.cells)
+        ratio = volumes / mesh.rest_volumes
+        points[i, :, : mesh.dimension] = frame.x[nodes]
+        shown[i] = ratio[owner]
+        total[i], low[i], high[i] = volumes.sum() / rest_total, ratio.min(), ratio.max()
+        inverted[i] = (ratio <= 0).sum()
+        sample.append(np.abs(ratio[:: max(1, len(ratio) // SAMPLED_CELLS)] - 1).astype(np.float32))
+        on_read()
+    rest = np.zeros((len(nodes), 3), dtype=np.float32)
+    rest[:, : mesh.dimension] = mesh.points[nodes]
+    return Track(
+        label=label, dimension=mesh.dimension, times=np.asarray(series.times, dtype=np.float64),
+        faces=local.reshape(faces.shape), rest=rest, points=points, ratio=shown, total=total, low=low, high=high,
+        inverted=inverted, sample=np.concatenate(sample),
+    )  # fmt: skip
+
+
+def colour_radius(tracks: Sequence[Track]) -> float:
+    """Return r of the colour range [1 - r, 1 + r]: cells within it hold 60 % of all |V / V0 - 1| over all frames.
+
+    Weighted by the deviation itself, so that neither a long rest after a short motion nor one bad cell decides:
+    unweighted, the thesis bar, at rest for six of seven seconds, would get a range of 2 % for a motion of 100 %.
+    """
+    pooled = np.concatenate([track.sample for track in tracks]).astype(np.float64)
+    pooled = np.sort(pooled[np.isfinite(pooled)])
+    held = np.cumsum(pooled)
+    wanted = pooled[np.searchsorted(held, 0.6 * held[-1])] if pooled.size else 0.0
+    return next((r for r in RADII if r >= wanted), RADII[-1])
+
+
+def drawn_points(track: Track) -> Floats:
+    """Return every point that the camera has to see (k, 3): rest and all frames that did not explode."""
+    size = np.linalg.norm(np.ptp(track.rest, axis=0))
+    extent = np.linalg.norm(np.ptp(track.points, axis=1), axis=-1)
+    keep = extent <= EXPLODED * size  # false for NaN too
+    return np.concatenate([track.rest, track.points[keep].reshape(-1, 3)]).astype(np.float64)
+
+
+def sharp_edges(points: NDArray[np.float32], faces: Ints, toward: Floats, angle: float = 50.0) -> tuple[Ints, Ints]:
+    """Return the creases (k, 2) of a triangle surface, and the edges (m, 2) of its contour seen from a direction.
+
+    An edge of one triangle only counts as a crease: in the plane those are the outline.
+    """
+    corners = points[faces].astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, which, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(which.ravel(), kind="stable") // 3  # the triangles, sorted by edge
+    first = np.concatenate([[0], np.cumsum(count)[:-1]])
+    a, b = normals[order[first]], normals[order[first + count - 1]]
+    crease = (count == 1) | ((a * b).sum(axis=1) < np.cos(np.radians(angle)))
+    contour = (count > 1) & (((a @ toward) > 0) != ((b @ toward) > 0))
+    return edges[crease], edges[contour & ~crease]

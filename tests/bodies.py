@@ -1,0 +1,112 @@
+"""The small bodies, motions and case files that several tests share."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+
+from pipeline.case import MethodSpec
+from pipeline.fem.body import Body
+from pipeline.fem.material import Material
+from pipeline.fem.supports import Supports, rotation_about
+from pipeline.mesh.shapes import box, rectangle
+from pipeline.mesh.simplex import Mesh
+from pipeline.methods import LAWS, MASSES, ROTATIONS, STEPPERS
+from pipeline.stepping.state import State, Stepper
+
+MATERIAL = Material(1e8, 0.33, 1000.0)  # of the thesis' bar
+METHODS = {
+    "linear": {"law": "linear"},
+    "polar": {"law": "corotational", "rotation": "polar"},
+    "gram_schmidt": {"law": "corotational", "rotation": "gram_schmidt"},
+}
+BOXES = {
+    "tetrahedra": box((2.0, 3.0, 1.0), (2, 3, 1)),
+    "alternating": box((2.0, 3.0, 1.0), (2, 3, 1), "alternating"),
+    "triangles": rectangle((2.0, 3.0), (2, 3)),
+}
+
+
+def thesis_bar(split: str = "kuhn") -> Mesh:
+    return box((4.0, 12.0, 4.0), (2, 8, 2), split)
+
+
+def solid(
+    mesh: Mesh,
+    law: str = "linear",
+    rotation: str = "polar",
+    *,
+    material: Material = MATERIAL,
+    held: Iterable[int] = (),
+    load: np.ndarray | None = None,
+    mass: str = "consistent",
+) -> Body:
+    nodes = np.array(list(held), dtype=np.int64)
+    force = np.zeros_like(mesh.points) if load is None else load
+    return Body(mesh, LAWS[law](material, ROTATIONS[rotation]), Supports(nodes), force, MASSES[mass])
+
+
+def clamped_bar(**keywords: object) -> Body:
+    mesh = thesis_bar(str(keywords.pop("split", "kuhn")))
+    return solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), **keywords)  # type: ignore[arg-type]
+
+
+def stepper(body: Body, dt: float, **method: object) -> Stepper:
+    return STEPPERS["backward_euler"](body, dt, MethodSpec(**method))  # type: ignore[arg-type]
+
+
+def motion(body: Body, dt: float, steps: int, v: np.ndarray, x: np.ndarray | None = None, **method) -> list[State]:
+    """The states 0..steps of a body, by backward Euler."""
+    prepared = stepper(body, dt, **method)
+    states = [State(0, body.mesh.points if x is None else x, v)]
+    for _ in range(steps):
+        states.append(prepared.step(states[-1])[0])
+    return states
+
+
+def spin(body: Body, omega: np.ndarray) -> np.ndarray:
+    """The velocities omega x (X - centre of mass); the last axis of omega counts in the plane."""
+    X = body.mesh.points - body.lumped_mass @ body.mesh.points / body.lumped_mass.sum()
+    if X.shape[1] == 2:
+        return omega[-1] * np.stack([-X[:, 1], X[:, 0]], axis=1)
+    return np.cross(omega, X)
+
+
+def turn(d: int, axis: Iterable[float], angle: float) -> np.ndarray:
+    """A rotation matrix (d, d); in the plane about z, whatever the axis."""
+    if d == 2:
+        return rotation_about(np.array([0.0, 0.0, 1.0]), angle)[:2, :2]
+    return rotation_about(np.array(list(axis), dtype=float), angle)
+
+
+def case_document(**sections: object) -> dict[str, object]:
+    """A clamped beam of 18 tetrahedra, three variants, four frames; a section given as None is left out."""
+    document: dict[str, object] = {
+        "name": "beam",
+        "mesh": {"shape": "box", "size": [1.0, 3.0, 1.0], "cells": [1, 3, 1]},
+        "material": {"youngs_modulus": 1e7, "poisson_ratio": 0.3, "density": 1000.0},
+        "supports": [{"plane": "y", "at": 3.0}],
+        "loads": {"gravity": [0.0, 0.0, -9.81]},
+        "initial": {"velocity": [0.0, 0.0, -20.0]},
+        "schedule": {"dt": 0.02, "frames": 4},
+        "variants": {
+            "linear": {"method.law": "linear"},
+            "gram_schmidt": {"method.rotation": "gram_schmidt"},
+            "polar": {},
+        },
+    }
+    return {key: value for key, value in (document | sections).items() if value is not None}
+
+
+PLANAR = {
+    "mesh": {"shape": "rectangle", "size": [1.0, 3.0], "cells": [2, 6]},
+    "loads": {"gravity": [0.0, -9.81]},
+    "initial": {"velocity": [20.0, 0.0]},
+}
+
+
+def write_case(folder: Path, name: str = "beam.toml", **sections: object) -> Path:
+    path = folder / name
+    path.write_text(tomli_w.dumps(case_document(**sections)), encoding="utf-8")
+    return path

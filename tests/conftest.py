@@ -1,0 +1,78 @@
+"""What every test gets: paths, VTK's errors as failures, OpenGL found before the first picture."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+from pipeline.errors import OutputError
+from pipeline.opengl import ensure_opengl
+
+ROOT = Path(__file__).resolve().parent.parent
+SKIP_OPENGL = os.environ.get("PIPELINE_SKIP_OPENGL") == "1"
+
+# The same examples every time, on slow machines too: a failure seen once is seen again.
+settings.register_profile("repeatable", deadline=None, derandomize=True)
+settings.load_profile("repeatable")
+
+
+@pytest.fixture(scope="session")
+def project_root() -> Path:
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def cases_folder() -> Path:
+    return ROOT / "cases"
+
+
+@pytest.fixture
+def outputs(tmp_path: Path) -> Path:
+    """An empty folder in place of outputs/."""
+    folder = tmp_path / "outputs"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture(scope="session")
+def _vtk_error_log() -> list[str]:
+    """Every text that VTK's C++ side reports as an error, which would else go to a log and the test pass."""
+    import pyvista  # first: its import puts a window of its own in place
+    from vtkmodules.vtkCommonCore import vtkCommand, vtkStringOutputWindow
+
+    pyvista.OFF_SCREEN = True
+    log: list[str] = []
+
+    def note(_window: object, _event: str, text: str) -> None:
+        log.append(text.strip())
+
+    note.CallDataType = "string0"  # type: ignore[attr-defined]
+    window = vtkStringOutputWindow()
+    window.AddObserver(vtkCommand.ErrorEvent, note)
+    vtkStringOutputWindow.SetInstance(window)
+    return log
+
+
+@pytest.fixture(autouse=True)
+def vtk_errors(_vtk_error_log: list[str]) -> Iterator[list[str]]:
+    """VTK's errors in this test, which fail it; a test that expects some looks at them and clears them."""
+    _vtk_error_log.clear()
+    yield _vtk_error_log
+    if _vtk_error_log:
+        pytest.fail("VTK reported:\n" + "\n".join(_vtk_error_log), pytrace=False)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("opengl") is None:
+        return
+    if SKIP_OPENGL:
+        pytest.skip("PIPELINE_SKIP_OPENGL=1: pictures are NOT tested")
+    missing = None
+    try:
+        ensure_opengl()
+    except OutputError as error:
+        missing = f"{error}. PIPELINE_SKIP_OPENGL=1 skips these tests aloud"
+    if missing:
+        pytest.fail(missing, pytrace=False)

@@ -1,0 +1,173 @@
+"""Laws of one cell: every derivative against differences, the nearest semidefinite tangent, ghost torque."""
+
+import numpy as np
+import pytest
+
+from pipeline.fem.laws import Corotational, Linear, isotropic
+from pipeline.fem.material import Material
+from pipeline.fem.rotation import gram_schmidt, polar
+from tests.bodies import turn
+
+SOFT = Material(2.0, 0.3, 1.0)
+LAWS = {
+    "linear": Linear(SOFT),
+    "polar": Corotational(SOFT, polar),
+    "gram_schmidt": Corotational(SOFT, gram_schmidt),
+}
+# principal stretches, all away from the creases s_i + s_j = 0, where W has no derivative
+STRETCHES = {
+    "near_rest": (1.05, 0.98, 1.01),
+    "stretched": (1.9, 1.4, 1.6),
+    "compressed": (0.5, 0.3, 0.4),
+    "inverted": (1.2, 0.9, -0.3),
+    "inside_out": (0.8, 0.7, -0.2),
+    "flat": (1.1, 0.7, 0.0),
+}
+STEP = 1e-6  # differences err by 1e-12 of the third derivative and 1e-10 of rounding
+GOOD = 1e-6
+
+
+def gradients(d: int, stretches: str) -> np.ndarray:
+    """F = Q V diag(s) V^T over turns Q from none to 180 degrees; in the plane with the outer two stretches."""
+    s = np.array(STRETCHES[stretches])[[0, 2] if d == 2 else [0, 1, 2]]
+    V = turn(d, [0.3, -0.5, 0.8], 0.7)
+    Q = [turn(d, axis, a) for axis in ([1, 2, 3], [-1, 0.2, 0.1]) for a in (0.0, 1.0, 2.5, np.pi)]
+    return np.stack(Q) @ (V * s @ V.T)
+
+
+def differences(f, F: np.ndarray) -> np.ndarray:
+    """df/dF by central differences, the last two axes being those of F."""
+    d = F.shape[-1]
+    out = []
+    for unit in np.eye(d * d).reshape(-1, d, d):
+        out.append((f(F + STEP * unit) - f(F - STEP * unit)) / (2 * STEP))
+    return np.stack(out, axis=-1).reshape(*out[0].shape, d, d)
+
+
+def assert_close(got: np.ndarray, wanted: np.ndarray, relative: float = GOOD) -> None:
+    # of the largest entry, or of E where there is no stress
+    assert np.abs(got - wanted).max() < relative * max(np.abs(wanted).max(), SOFT.youngs_modulus)
+
+
+def matrices(C: np.ndarray) -> np.ndarray:
+    return C.reshape(len(C), C.shape[1] ** 2, -1)
+
+
+def at(law, d, stretches):
+    F = gradients(d, stretches)
+    return F, law.rotations(F)
+
+
+every_gradient = pytest.mark.parametrize(
+    ("d", "stretches"), [(d, name) for d in (2, 3) for name in STRETCHES], ids=lambda value: str(value)
+)
+
+
+@every_gradient
+@pytest.mark.parametrize("name", ["linear", "polar"])
+def test_stress_is_the_derivative_of_the_energy(name, d, stretches):
+    law = LAWS[name]
+    F, R = at(law, d, stretches)
+    assert_close(law.stress(F, R), differences(lambda A: law.energy_density(A, law.rotations(A)), F))
+
+
+@every_gradient
+@pytest.mark.parametrize("name", LAWS)
+def test_stress_is_the_derivative_of_the_energy_in_a_given_frame(name, d, stretches):
+    law = LAWS[name]
+    F, R = at(law, d, stretches)
+    assert_close(law.stress(F, R), differences(lambda A: law.energy_density(A, R), F))
+
+
+@every_gradient
+@pytest.mark.parametrize("name", LAWS)
+def test_frozen_tangent_is_the_derivative_of_the_stress_in_a_given_frame(name, d, stretches):
+    law = LAWS[name]
+    F, R = at(law, d, stretches)
+    C = law.tangent(F, R, "frozen")
+    assert_close(C, differences(lambda A: law.stress(A, R), F))
+    rotated = np.einsum("eik,klmn,ejm->eiljn", R, isotropic(d, SOFT), R)
+    assert_close(C, rotated, 1e-14)  # T's R K_e R^T: the first index of P and of F turns
+
+
+@every_gradient
+@pytest.mark.parametrize("name", ["linear", "polar"])
+def test_exact_tangent_is_the_derivative_of_the_stress(name, d, stretches):
+    law = LAWS[name]
+    F, R = at(law, d, stretches)
+    assert_close(law.tangent(F, R, "exact"), differences(lambda A: law.stress(A, law.rotations(A)), F))
+
+
+@every_gradient
+def test_projected_tangent_is_the_semidefinite_one_nearest_to_the_exact(d, stretches):
+    law = LAWS["polar"]
+    F, R = at(law, d, stretches)
+    exact, projected = (matrices(law.tangent(F, R, kind)) for kind in ("exact", "projected"))
+    assert_close(exact, np.swapaxes(exact, 1, 2), 1e-14)
+    values, vectors = np.linalg.eigh(exact)
+    assert_close(projected, vectors * np.maximum(values, 0)[:, None] @ np.swapaxes(vectors, 1, 2), 1e-13)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_exact_tangent_is_indefinite_in_compression_and_the_others_are_not(d):
+    law = LAWS["polar"]
+    F, R = at(law, d, "compressed")
+    lowest = {k: np.linalg.eigvalsh(matrices(law.tangent(F, R, k))).min() for k in ("exact", "projected", "frozen")}
+    assert lowest["exact"] < -0.1 * SOFT.mu
+    assert min(lowest["projected"], lowest["frozen"]) > -1e-14 * SOFT.youngs_modulus
+
+
+@pytest.mark.parametrize("kind", ["frozen", "projected", "exact"])
+@pytest.mark.parametrize("stretches", [(9.0, 0.5, -0.5), (1.0, 0.5, -0.5), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
+def test_tangents_stay_finite_on_the_creases_of_the_energy(kind, stretches):
+    law = LAWS["polar"]
+    for F in (np.diag(stretches)[None], np.diag(stretches[1:])[None]):
+        C = matrices(law.tangent(F, law.rotations(F), kind))
+        assert np.isfinite(C).all() and np.abs(C).max() < 1e4 * SOFT.youngs_modulus  # the stated cap is 1e3 mu
+        if kind == "projected":
+            assert np.linalg.eigvalsh(C).min() > -1e-12 * np.abs(C).max()
+
+
+@every_gradient
+def test_polar_stress_is_the_formula_of_the_web_page(d, stretches):
+    F, R = at(LAWS["polar"], d, stretches)
+    trace = np.einsum("eij,eij->e", R, F) - d
+    assert_close(LAWS["polar"].stress(F, R), 2 * SOFT.mu * (F - R) + SOFT.lam * trace[:, None, None] * R, 1e-14)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("name", LAWS)
+def test_small_strain_without_rotation_is_the_same_in_every_law(name, d):
+    e = 1e-6 * np.array([[1.0, 0.4, -0.2], [0.4, -2.0, 0.7], [-0.2, 0.7, 0.5]])[:d, :d]
+    law, F = LAWS[name], (np.eye(d) + e)[None]
+    wanted = 2 * SOFT.mu * e + SOFT.lam * np.trace(e) * np.eye(d)
+    # what is left is of second order, 1e-12 E; Gram-Schmidt's frame is off by the shear, also second order in P
+    assert np.abs(law.stress(F, law.rotations(F)) - wanted).max() < 2e-11 * SOFT.youngs_modulus
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_linear_cell_that_turns_free_of_strain_swells_by_the_square_of_the_secant(d):
+    theta = np.radians([0.0, 5.0, 30.0, 60.0, 85.0])
+    W = np.zeros((5, d, d))
+    W[:, 0, 1], W[:, 1, 0] = -np.tan(theta), np.tan(theta)
+    F = np.eye(d) + W
+    assert LAWS["linear"].energy_density(F, F) == pytest.approx(0, abs=1e-25)
+    assert np.linalg.det(F) == pytest.approx(1 / np.cos(theta) ** 2, rel=1e-13)
+
+
+@every_gradient
+def test_polar_stress_turns_nothing(d, stretches):
+    F, R = at(LAWS["polar"], d, stretches)
+    torque = LAWS["polar"].stress(F, R) @ np.swapaxes(F, 1, 2)
+    assert np.abs(torque - np.swapaxes(torque, 1, 2)).max() / 2 < 1e-13 * SOFT.youngs_modulus
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize(("order", "ghost"), [((0, 1, 2), 0.0), ((1, 0, 2), 0.09485)])  # of E, nu = .33; measured
+def test_gram_schmidt_stress_turns_a_sheared_cell_by_itself(d, order, ghost):
+    F = np.eye(d)[None].copy()
+    F[0, 0, 1] = 1.0
+    F = F[:, order[:d]][:, :, order[:d]]
+    law = Corotational(Material(1.0, 0.33, 1.0), gram_schmidt)
+    torque = law.stress(F, law.rotations(F)) @ np.swapaxes(F, 1, 2)
+    assert np.abs(torque - np.swapaxes(torque, 1, 2)).max() == pytest.approx(ghost, abs=1e-5)

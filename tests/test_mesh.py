@@ -1,0 +1,170 @@
+"""Meshes: by rule, from files of several formats, their quality and boundary, and every refusal."""
+
+import meshio
+import numpy as np
+import pytest
+
+from pipeline.errors import MeshError
+from pipeline.mesh.files import read_mesh
+from pipeline.mesh.shapes import box, rectangle
+from pipeline.mesh.simplex import Mesh, component_labels, quality
+from pipeline.mesh.surface import boundary_faces, outward_areas
+from tests.bodies import BOXES, thesis_bar
+
+TET = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+ONE = np.array([[0, 1, 2, 3]])
+
+
+@pytest.mark.parametrize("split", ["kuhn", "alternating"])
+def test_the_thesis_bar_has_its_counts_and_tets_of_one_cubic_metre(split):
+    mesh = thesis_bar(split)
+    assert mesh.points.shape == (81, 3) and mesh.cells.shape == (192, 4)
+    assert mesh.rest_volumes == pytest.approx(np.ones(192), rel=1e-14)
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_cells_fill_the_box_and_meet_face_to_face(name):
+    mesh = BOXES[name]
+    d = mesh.dimension
+    assert mesh.rest_volumes.sum() == pytest.approx(6.0, rel=1e-14)
+    assert mesh.node_volumes.sum() == pytest.approx(6.0, rel=1e-14)
+    faces, owners = boundary_faces(mesh)
+    areas = outward_areas(mesh.points, faces)
+    # a split that does not match across two cells would count inner faces as boundary
+    assert np.linalg.norm(areas, axis=1).sum() == pytest.approx(22.0 if d == 3 else 10.0, rel=1e-14)
+    assert np.abs(areas.sum(axis=0)).max() < 1e-14  # closed
+    centres = mesh.points[mesh.cells[owners]].mean(axis=1)
+    assert (((mesh.points[faces].mean(axis=1) - centres) * areas).sum(axis=1) > 0).all()  # outward
+
+
+def test_kuhn_cuts_every_cell_along_one_diagonal():
+    mesh = box((1.0, 1.0, 1.0), (1, 1, 1))
+    assert all({0, 7} <= set(cell) for cell in mesh.cells.tolist())
+    assert len(mesh.cells) == 6
+
+
+@pytest.mark.parametrize(
+    ("points", "wanted"),
+    [
+        (np.array([[0.0, 0], [1, 0], [0.5, 3**0.5 / 2]]), 1.0),
+        (np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]), 1.0),
+        (TET, 3**0.5 - 1),  # 3r/R of the corner of a cube: r = (3 - sqrt 3)/6, R = sqrt 3 / 2
+        (np.array([[0.0, 0], [1, 0], [0, 1]]), 2 * (2**0.5 - 1)),
+    ],
+    ids=["regular_triangle", "regular_tet", "corner_tet", "right_triangle"],
+)
+def test_quality_is_the_ratio_of_the_radii(points, wanted):
+    cells = np.arange(len(points))[None]
+    if np.linalg.det(points[1:] - points[0]) < 0:
+        cells[:, -2:] = cells[:, :-3:-1].copy()
+    for scale in (1e-6, 1.0, 1e6):
+        assert quality(Mesh(scale * points, cells)) == pytest.approx([wanted], rel=1e-12)
+
+
+def test_components_are_told_apart():
+    two = Mesh(np.concatenate([TET, TET + 5]), np.concatenate([ONE, ONE + 4]))
+    count, labels = component_labels(two)
+    assert count == 2 and labels.tolist() == [0] * 4 + [1] * 4
+    assert component_labels(thesis_bar())[0] == 1
+
+
+def test_a_mesh_cannot_be_changed():
+    mesh = box((1.0, 1.0, 1.0), (1, 1, 1))
+    for array in (mesh.points, mesh.cells):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+@pytest.mark.parametrize(
+    ("points", "cells", "words"),
+    [
+        (TET, ONE[:, [1, 0, 2, 3]], "1 inverted or flat tetrahedron cells, first 0 with volume -0.167"),
+        (TET * [1, 1, 0], ONE, "inverted or flat"),
+        (TET, ONE + 1, "a cell names node 4 of 4"),
+        (TET, ONE - 1, "a cell names node"),
+        (np.where(TET == 1, np.nan, TET), ONE, "a point is not finite"),
+        (TET, ONE[:0], "no tetrahedron"),
+        (TET, ONE[:, :3], "not a simplex mesh"),
+        (TET[:, :1], ONE[:, :2], "not a simplex mesh"),
+    ],
+    ids=["inverted", "flat", "too_high", "negative", "nan", "none", "surface", "line"],
+)
+def test_a_mesh_that_cannot_be_simulated_is_refused(points, cells, words):
+    with pytest.raises(MeshError, match=words):
+        Mesh(points, cells, name="it")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: box((1.0, 1.0), (1, 1)), "a box takes 3 sizes and 3 cell counts"),
+        (lambda: rectangle((1.0, 1.0, 1.0), (1, 1, 1)), "a rectangle takes 2 sizes"),
+        (lambda: box((1.0, 1.0, 1.0), (1, 1, 1), "delaunay"), "'delaunay' is not one of kuhn, alternating"),
+    ],
+    ids=["planar_box", "solid_rectangle", "split"],
+)
+def test_a_shape_says_what_it_takes(make, words):
+    with pytest.raises(MeshError, match=words):
+        make()
+
+
+# Files
+
+
+def written(path, points, cells):
+    meshio.Mesh(points, cells).write(path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["vtu", "vtk", "msh", "inp", "mesh"])
+@pytest.mark.parametrize("name", BOXES)
+def test_what_meshio_writes_comes_back(tmp_path, name, suffix):
+    mesh = BOXES[name]
+    kind = {3: "tetra", 2: "triangle"}[mesh.dimension]
+    points = np.pad(mesh.points, [(0, 0), (0, 3 - mesh.dimension)])
+    back = read_mesh(written(tmp_path / f"it.{suffix}", points, [(kind, mesh.cells)]), scale=2.0)
+    assert np.array_equal(back.cells, mesh.cells)
+    assert back.points == pytest.approx(2 * mesh.points, abs=1e-14)
+
+
+def test_boundary_triangles_lines_and_vertices_of_a_tet_mesh_are_dropped(tmp_path):
+    blocks = [("vertex", [[0]]), ("line", [[0, 1]]), ("triangle", [[0, 1, 2]]), ("tetra", ONE)]
+    assert np.array_equal(read_mesh(written(tmp_path / "it.vtu", TET, blocks)).cells, ONE)
+
+
+def test_triangles_in_a_plane_off_zero_are_planar(tmp_path):
+    points = np.array([[0.0, 0, 7], [1, 0, 7], [0, 1, 7]])
+    mesh = read_mesh(written(tmp_path / "it.vtu", points, [("triangle", [[0, 1, 2]])]))
+    assert mesh.dimension == 2 and mesh.points.tolist() == [[0, 0], [1, 0], [0, 1]]
+
+
+HEXAHEDRON = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+
+
+@pytest.mark.parametrize(
+    ("points", "blocks", "words"),
+    [
+        (TET, [("triangle", [[0, 1, 2], [0, 1, 3]])], "surface; fill it with tetrahedron cells"),
+        (TET, [("tetra", ONE[:, [1, 0, 2, 3]])], "1 inverted or flat tetrahedron cells"),
+        (HEXAHEDRON, [("hexahedron", [list(range(8))])], "has hexahedron; linear tetrahedra"),
+        (np.random.default_rng(0).random((10, 3)), [("tetra10", [list(range(10))])], "has tetra10"),
+        (TET, [("line", [[0, 1]])], "has line; linear tetrahedra or planar triangles are needed"),
+    ],
+    ids=["surface", "inverted", "hexahedra", "quadratic", "lines"],
+)
+def test_a_mesh_file_that_cannot_be_simulated_is_refused_by_name(tmp_path, points, blocks, words):
+    path = written(tmp_path / "it.vtu", points, blocks)
+    with pytest.raises(MeshError, match=words) as caught:
+        read_mesh(path)
+    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["junk.vtu", "junk.vtk", "junk.msh", "junk.stl", "junk.xdmf", "junk.what", "none.vtu"])
+def test_a_file_that_is_no_mesh_is_one_line_and_the_library_prints_nothing(tmp_path, name, capfd):
+    path = tmp_path / name
+    if "junk" in name:
+        path.write_text("this is no mesh\n")
+    with pytest.raises(MeshError) as caught:
+        read_mesh(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert capfd.readouterr() == ("", "")
