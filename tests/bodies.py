@@ -1,5 +1,7 @@
 """The small bodies, motions and case files that several tests share."""
 
+import sys
+import types
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -110,3 +112,11 @@ def write_case(folder: Path, name: str = "beam.toml", **sections: object) -> Pat
     path = folder / name
     path.write_text(tomli_w.dumps(case_document(**sections)), encoding="utf-8")
     return path
+
+
+def without_figures(monkeypatch) -> None:
+    """Figures, which have tests of their own and take a second each, become empty files."""
+    blank = types.ModuleType("pipeline.views.plots")
+    for name in ("volume_figure", "energy_figure"):
+        setattr(blank, name, lambda dataset, path, *, title: path.touch())
+    monkeypatch.setitem(sys.modules, blank.__name__, blank)

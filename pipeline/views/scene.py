@@ -164,8 +164,8 @@ def _surface_actor(data: Any, track: Track, metres: float, scale: float) -> Any:
     look = actor.GetProperty()
     look.SetInterpolationToFlat()
     # mostly ambient: a shaded colour must still be found on the colour bar; in the plane there is nothing to shade
-    look.SetAmbient(1.0 if track.dimension == 2 else 0.55)
-    look.SetDiffuse(0.0 if track.dimension == 2 else 0.58)
+    look.SetAmbient(1.0 if track.dimension == 2 else 0.62)
+    look.SetDiffuse(0.0 if track.dimension == 2 else 0.50)
     corners = track.rest[track.faces]
     edge_pixels = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))) / metres
     # below some pixels an edge, the lines would cover the colours: they fade out
