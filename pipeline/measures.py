@@ -41,14 +41,27 @@ VARIABLES: Mapping[str, Variable] = {
     "angular_momentum": Variable(("axis",), "kg m2 s-1", "angular momentum about the origin"),
     "newton_iterations": Variable((), "1", "linear systems solved since the frame before"),
 }
+# what does not change from frame to frame, and the coordinates
+FIXED: Mapping[str, Variable] = {
+    "time": Variable((), "s", "time since the start"),
+    "rest_volume": Variable(("cell",), "m3", "rest volume of the cell"),
+    "quantile": Variable(("quantile",), "1", "quantile of cells"),
+    "axis": Variable(("axis",), "1", "axis of space"),
+}
+AXES = ("x", "y", "z")
 # in the plane a volume is an area and an energy is per metre of thickness
 _PLANAR_UNITS = {"m3": "m2", "J": "J m-1", "kg m s-1": "kg s-1", "kg m2 s-1": "kg m s-1"}
 
 
 def units(name: str, dimension: int) -> str:
     """Return the unit of a variable for a body of that dimension; a planar one has unit thickness."""
-    unit = VARIABLES[name].units
+    unit = (VARIABLES.get(name) or FIXED[name]).units
     return _PLANAR_UNITS.get(unit, unit) if dimension == 2 else unit
+
+
+def attributes(name: str, dimension: int) -> dict[str, str]:
+    """Return the CF attributes of a variable or coordinate for a body of that dimension."""
+    return {"units": units(name, dimension), "long_name": (VARIABLES.get(name) or FIXED[name]).long_name}
 
 
 def spatial(vector: Floats) -> Floats:
@@ -65,6 +78,7 @@ def measure(frame: Frame) -> Values:
     F = deformation_gradient(mesh, frame.x)
     total, rest = volumes.sum(), mesh.rest_volumes.sum()
     return {
+        **frame.known,
         "volume_ratio": ratio,
         "rotation_angle": np.degrees(angle(polar(F))),
         "total_volume": np.asarray(total),
@@ -73,5 +87,4 @@ def measure(frame: Frame) -> Values:
         "volume_ratio_quantile": np.quantile(ratio, QUANTILES),
         "inverted_count": np.asarray(float((ratio <= 0).sum())),
         "center_of_mass": spatial(mesh.node_volumes @ frame.x / rest),
-        **frame.known,
     }

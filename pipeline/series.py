@@ -44,8 +44,12 @@ class Series:
             for name in grid.field_data.keys() & VARIABLES.keys()
         }
         step = int(grid.field_data["step"][0]) if "step" in grid.field_data else None
-        v = grid.point_data["velocity"][:, :d].astype(np.float64) if "velocity" in grid.point_data else None
-        x = np.asarray(grid.points, dtype=np.float64)[:, :d]
+        v = (
+            np.ascontiguousarray(grid.point_data["velocity"][:, :d], dtype=np.float64)
+            if "velocity" in grid.point_data
+            else None
+        )
+        x = np.ascontiguousarray(grid.points[:, :d], dtype=np.float64)
         return Frame(index, self.times[index], self.mesh, x, step=step, v=v, known=known)
 
     @cached_property

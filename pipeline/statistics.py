@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.errors import SeriesError
-from pipeline.measures import QUANTILES, VARIABLES, measure, units
+from pipeline.measures import AXES, QUANTILES, VARIABLES, attributes, measure
 from pipeline.series import Series
 from pipeline.sinks.atomic import whole_file
 
@@ -25,22 +25,17 @@ def series_statistics(series: Series) -> "xarray.Dataset":
     mesh = series.mesh
     rows = [measure(frame) for frame in series]
     names = [name for name in VARIABLES if all(name in row for row in rows)]
+    d = mesh.dimension
     data = {
-        name: (
-            ("time", *VARIABLES[name].dims),
-            np.stack([row[name] for row in rows]),
-            {"units": units(name, mesh.dimension), "long_name": VARIABLES[name].long_name},
-        )
+        name: (("time", *VARIABLES[name].dims), np.stack([row[name] for row in rows]), attributes(name, d))
         for name in names
     }
-    rest = (("cell",), mesh.rest_volumes, {"units": "m2" if mesh.dimension == 2 else "m3"})
-    times = ("time", np.array(series.times), {"units": "s", "long_name": "time since the start"})
-    coords = {
-        "time": times,
-        "quantile": ("quantile", np.array(QUANTILES), {"units": "1"}),
-        "axis": list("xyz"),
-    }
-    return xarray.Dataset({"rest_volume": rest, **data}, coords, {"Conventions": "CF-1.11", "title": series.name})
+    coordinates = {"time": series.times, "quantile": QUANTILES, "axis": AXES}
+    return xarray.Dataset(
+        {"rest_volume": ("cell", mesh.rest_volumes, attributes("rest_volume", d)), **data},
+        {name: (name, np.array(values), attributes(name, d)) for name, values in coordinates.items()},
+        {"Conventions": "CF-1.11", "title": series.name},
+    )
 
 
 def read_statistics(path: Path) -> "xarray.Dataset":

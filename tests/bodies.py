@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
+import xarray
 
-from pipeline.case import MethodSpec
+from pipeline.build import Problem, build
+from pipeline.case import MethodSpec, load_case
 from pipeline.fem.body import Body
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports, rotation_about
@@ -55,11 +57,13 @@ def clamped_bar(**keywords: object) -> Body:
 
 
 def stepper(body: Body, dt: float, **method: object) -> Stepper:
-    return STEPPERS["backward_euler"](body, dt, MethodSpec(**method))  # type: ignore[arg-type]
+    """Backward Euler, unless `stepper` among the method's keys names another."""
+    spec = MethodSpec(**method)  # type: ignore[arg-type]
+    return STEPPERS[spec.stepper](body, dt, spec)
 
 
 def motion(body: Body, dt: float, steps: int, v: np.ndarray, x: np.ndarray | None = None, **method) -> list[State]:
-    """The states 0..steps of a body, by backward Euler."""
+    """The states 0..steps of a body, by backward Euler unless `stepper` names another."""
     prepared = stepper(body, dt, **method)
     states = [State(0, body.mesh.points if x is None else x, v)]
     for _ in range(steps):
@@ -114,9 +118,24 @@ def write_case(folder: Path, name: str = "beam.toml", **sections: object) -> Pat
     return path
 
 
+def built(folder: Path, variant: str = "polar", **sections: object) -> Problem:
+    return build(load_case(write_case(folder, **sections)).variant(variant))
+
+
 def without_figures(monkeypatch) -> None:
     """Figures, which have tests of their own and take a second each, become empty files."""
     blank = types.ModuleType("pipeline.views.plots")
     for name in ("volume_figure", "energy_figure"):
         setattr(blank, name, lambda dataset, path, *, title: path.touch())
     monkeypatch.setitem(sys.modules, blank.__name__, blank)
+
+
+def assert_conventional(dataset: xarray.Dataset) -> None:
+    """CF-1.11: units and a sentence for every number, a sentence for every label, no missing coordinate."""
+    assert dataset.attrs["Conventions"] == "CF-1.11" and dataset.attrs["title"]
+    numbers = [name for name, one in dataset.variables.items() if one.dtype == np.float64]
+    without = {key: [n for n, v in dataset.variables.items() if not v.attrs.get(key)] for key in ("units", "long_name")}
+    assert [name for name in without["units"] if name in numbers] == []
+    assert without["long_name"] == []
+    # appendix A: a fill value is not allowed for coordinate variables
+    assert [name for name in dataset.dims if "_FillValue" in dataset.variables[name].encoding] == []

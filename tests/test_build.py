@@ -114,7 +114,7 @@ def test_a_moving_support_is_where_its_motion_says(problem):
     for frame in frames(one):
         R = rotation_about(np.array([0.0, 1.0, 0.0]), np.pi / 2 * frame.time)
         assert frame.x[held] == pytest.approx(center + arm @ R.T + [0.0, 0.5 * frame.time, 0.0], abs=1e-13)
-    assert one.start.v[held] == pytest.approx(np.cross([0, np.pi / 2, 0], arm) + [0, 0.5, 0], abs=1e-13)
+    assert one.start.v[held] == pytest.approx(np.cross([0, np.pi / 2, 0], arm) + np.array([0, 0.5, 0]), abs=1e-13)
 
 
 @pytest.mark.parametrize(

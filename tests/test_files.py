@@ -21,7 +21,7 @@ from pipeline.sinks.atomic import write_whole
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.vtu import VtuSink
 from pipeline.statistics import read_statistics, series_statistics
-from tests.bodies import PLANAR, write_case
+from tests.bodies import PLANAR, assert_conventional, write_case
 
 SCENES = {"3D": {}, "2D": PLANAR}
 ROOT = os.path.dirname(os.path.dirname(__file__))
@@ -145,17 +145,6 @@ def test_statistics_hold_what_was_measured(run):
                 assert np.array_equal(dataset[name][i], value)
 
 
-def assert_conventional(dataset: xarray.Dataset) -> None:
-    """CF-1.11: units and a sentence for every number, a sentence for every label, no missing coordinate."""
-    assert dataset.attrs["Conventions"] == "CF-1.11" and dataset.attrs["title"]
-    for name, variable in dataset.variables.items():
-        assert variable.attrs.get("long_name"), f"{name} has no long_name"
-        if variable.dtype == np.float64:
-            assert variable.attrs.get("units"), f"{name} has no units"
-        if name in dataset.dims:  # CF-1.11, appendix A: not allowed for coordinate variables
-            assert "_FillValue" not in variable.encoding, f"coordinate {name} has a fill value"
-
-
 def test_statistics_follow_the_conventions(run):
     with xarray.open_dataset(run.folder / "statistics.nc") as dataset:
         assert_conventional(dataset)
@@ -169,6 +158,10 @@ def test_statistics_follow_the_conventions(run):
 def test_statistics_of_the_frames_on_disk_are_statistics_nc(run):
     again, written = series_statistics(read_series(run.folder)), read_statistics(run.folder / "statistics.nc")
     xarray.testing.assert_equal(again, written)
+
+
+def test_a_dataset_of_a_series_says_what_statistics_nc_says(run):
+    again, written = series_statistics(read_series(run.folder)), read_statistics(run.folder / "statistics.nc")
     assert_conventional(again)
     for name in written.variables:
         assert again[name].attrs == written[name].attrs
@@ -257,9 +250,7 @@ def test_every_file_is_complete_after_an_exception_in_the_middle(tmp_path, error
     with pytest.raises(type(error)):
         record(source(problem_of(tmp_path)), sinks(tmp_path))
     assert_complete(tmp_path, 3)
-    xarray.testing.assert_equal(
-        series_statistics(read_series(tmp_path)), read_statistics(tmp_path / "statistics.nc")
-    )
+    xarray.testing.assert_equal(series_statistics(read_series(tmp_path)), read_statistics(tmp_path / "statistics.nc"))
 
 
 def test_a_sink_that_fails_leaves_the_files_of_the_others_complete(tmp_path):

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pipeline.errors import OutputError
@@ -24,7 +24,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
     finally:
-        hidden.unlink(missing_ok=True)
+        with suppress(OSError):  # its folder may not exist, or be no folder
+            hidden.unlink(missing_ok=True)
 
 
 def write_whole(path: Path, data: str | bytes) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.errors import OutputError
 from pipeline.frame import Frame, Values
-from pipeline.measures import QUANTILES, VARIABLES, units
+from pipeline.measures import AXES, QUANTILES, VARIABLES, attributes
 from pipeline.mesh.simplex import Mesh
 
 _SCALAR_CHUNK = 256  # frames; the default of one would make a chunk, and its index entry, of every number
@@ -56,23 +56,21 @@ def _created(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
     sizes = {"time": None, "cell": len(mesh.cells), "axis": 3, "quantile": len(QUANTILES)}
     for name, size in sizes.items():
         out.createDimension(name, size)
-    _coordinate(out, "time", np.zeros(0), "s", "time since the start", chunk=_SCALAR_CHUNK).axis = "T"
-    _coordinate(out, "quantile", np.array(QUANTILES), "1", "quantile of cells")
-    out.createVariable("axis", str, ("axis",))[:] = np.array(["x", "y", "z"], dtype=object)
-    rest = out.createVariable("rest_volume", "f8", ("cell",))
-    rest.units, rest.long_name = ("m2" if mesh.dimension == 2 else "m3"), "rest volume of the cell"
-    rest[:] = mesh.rest_volumes
+    made = {
+        "time": out.createVariable("time", "f8", ("time",), chunksizes=(_SCALAR_CHUNK,)),
+        "quantile": out.createVariable("quantile", "f8", ("quantile",)),
+        "axis": out.createVariable("axis", str, ("axis",)),
+        "rest_volume": out.createVariable("rest_volume", "f8", ("cell",)),
+    }
+    made["quantile"][:] = QUANTILES
+    made["axis"][:] = np.array(AXES, dtype=object)
+    made["rest_volume"][:] = mesh.rest_volumes
     for name in measured:
         variable = VARIABLES[name]
         lengths = [sizes[dim] or 1 for dim in variable.dims]
         chunks = (1 if "cell" in variable.dims else _SCALAR_CHUNK, *lengths)
-        made = out.createVariable(name, "f8", ("time", *variable.dims), chunksizes=chunks)
-        made.units, made.long_name = units(name, mesh.dimension), variable.long_name
+        made[name] = out.createVariable(name, "f8", ("time", *variable.dims), chunksizes=chunks)
+    for name, one in made.items():
+        one.setncatts(attributes(name, mesh.dimension))
+    made["time"].axis = "T"
     return out
-
-
-def _coordinate(out: Any, name: str, values: Any, unit: str, long_name: str, chunk: int | None = None) -> Any:
-    made = out.createVariable(name, "f8", (name,), chunksizes=(chunk,) if chunk else None)
-    made.units, made.long_name = unit, long_name
-    made[:] = values
-    return made

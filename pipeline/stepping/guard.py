@@ -33,7 +33,7 @@ class Guarded:
 
     def step(self, state: State) -> tuple[State, Work]:
         """Return the state dt later; raises SolveError where the energy has no source."""
-        start, supplied, strikes = state.memory.get("guard", (self._energy(state), 0.0, 0.0))
+        start, supplied, strikes = state.memory["guard"] if "guard" in state.memory else (self._energy(state), 0.0, 0.0)
         new, work = self.stepper.step(state)
         supplied += self._supports_work(state, new)
         from_loads = abs((self.body.load * (new.x - self.body.mesh.points)).sum())

@@ -10,13 +10,13 @@ import numpy as np
 from pipeline.errors import OutputError
 from pipeline.opengl import ensure_opengl
 from pipeline.series import Series
+from pipeline.sinks.atomic import whole_file
 from pipeline.views.camera import fit_camera
 from pipeline.views.encoder import Encoder
 from pipeline.views.layout import GRIDS, choose_layout
 from pipeline.views.motion import Track, colour_radius, read_track
 from pipeline.views.page import Page
 from pipeline.views.scene import Palette, Scene, State
-from pipeline.views.whole import whole_file
 
 if TYPE_CHECKING:
     from PIL import Image

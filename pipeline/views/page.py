@@ -87,7 +87,7 @@ class Page:
             parts.append((f"     {track.inverted[index]} inverted", INVERTED))
         if ended:
             when = f"{track.times[-1]:.{self._time_digits}f}"
-            parts = [(f"failed after t = {when} s", FAILED), (f"     V/V₀ from {low} to {high}", SOFT)]
+            parts = [(f"ends at t = {when} s", FAILED), (f"     V/V₀ from {low} to {high}", SOFT)]
         line = "".join(text for text, _ in parts)
         # no wider than the usual text, so that the panels of a page agree in size wherever they can
         size = min(15 * s, 15 * s * (width - 16 * s) / draw.textlength(USUAL, font(round(15 * s))))

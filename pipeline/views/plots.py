@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.errors import OutputError
 from pipeline.mesh.simplex import Floats
-from pipeline.views.whole import whole_file
+from pipeline.sinks.atomic import whole_file
 
 if TYPE_CHECKING:
     import xarray
