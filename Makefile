@@ -6,7 +6,7 @@ OPENGL_PACKAGES := libegl1 libgl1-mesa-dri
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test quick lint clean
+.PHONY: help setup run report test quick lint clean
 
 help: ## Show this list
 	@echo "usage: make TARGET [PYTHON=python3.12] [WORKERS=4]"
@@ -26,6 +26,9 @@ setup: .venv/installed ## Create .venv, install everything into it; as root on D
 
 run: setup ## Run the example: cases/bar.toml -> outputs/bar (solved anew each time)
 	$(BIN)/pipeline run cases/bar.toml --force
+
+report: setup ## All scenes of the seeds from nothing -> outputs/reproduction.html and .md: what of them holds
+	$(BIN)/pipeline reproduce --force
 
 test: setup lint ## Everything that CI runs: lint, then all tests
 	$(PYTEST)

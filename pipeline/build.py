@@ -1,15 +1,14 @@
 """Case -> Problem: every name looked up, every vector and node set checked, the body and its start made."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from pipeline.case import Case, MethodSpec
 from pipeline.conditions import dead_load, initial_state, supports
 from pipeline.errors import MeshError
 from pipeline.fem.body import Body
+from pipeline.fem.compiled import make_body
 from pipeline.fem.material import Material
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.simplex import Mesh, component_labels
@@ -47,36 +46,32 @@ def build(case: Case) -> Problem:
         raise case.error("variants", f"choose one with case.variant(name): {', '.join(case.variant_names)}")
     case = settled(case)
     _check_method(case)
-    mesh = build_mesh(case)
+    mesh_notes: list[str] = []
+    mesh = build_mesh(case, note=mesh_notes.append)
     m = case.material
     material = Material(m.youngs_modulus, m.poisson_ratio, m.density)
     law = LAWS[case.method.law](material, ROTATIONS[case.method.rotation])
-    body = Body(mesh, law, supports(case, mesh), dead_load(case, mesh), MASSES[case.method.mass])
+    body = make_body(mesh, law, supports(case, mesh), dead_load(case, mesh), MASSES[case.method.mass])
     if not body.free.size:
         raise case.error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
     _check_step(case, body)
     s = case.schedule
     start = initial_state(case, body)
     name = f"{case.name}/{case.variant_name}"
-    return Problem(name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, _notes(case, mesh))
+    return Problem(name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, _notes(case, mesh, mesh_notes))
 
 
-def build_mesh(case: Case) -> Mesh:
-    """Return the rest mesh of a case; raises CaseError or MeshError."""
+def build_mesh(case: Case, *, note: Callable[[str], object] | None = None) -> Mesh:
+    """Return the rest mesh of a case, each clean-up of a file told to `note`; raises CaseError or MeshError."""
     spec = case.mesh
     try:
         if spec.shape is None:
             assert case.mesh_path is not None
-            mesh = read_mesh(case.mesh_path, spec.scale)
-        else:
-            assert spec.size is not None and spec.cells is not None
-            mesh = SHAPES[_chosen(case, "mesh.shape", spec.shape, SHAPES)](spec.size, spec.cells, spec.split)
+            return read_mesh(case.mesh_path, spec.scale, note=note)
+        assert spec.size is not None and spec.cells is not None
+        return SHAPES[_chosen(case, "mesh.shape", spec.shape, SHAPES)](spec.size, spec.cells, spec.split)
     except MeshError as error:
         raise case.error("mesh", str(error)) from error
-    unused = np.flatnonzero(mesh.node_volumes == 0)
-    if unused.size:
-        raise case.error("mesh", f"{unused.size} nodes belong to no cell, first {unused[0]}; remove them")
-    return mesh
 
 
 def settled(case: Case) -> Case:
@@ -139,8 +134,8 @@ def _chosen(case: Case, key: str, name: str, table: Mapping[str, Any]) -> str:
     return name
 
 
-def _notes(case: Case, mesh: Mesh) -> tuple[str, ...]:
-    notes = list(case.notes)
+def _notes(case: Case, mesh: Mesh, mesh_notes: Sequence[str]) -> tuple[str, ...]:
+    notes = [*case.notes, *mesh_notes]
     if case.method.law == "linear" and "method.rotation" in case.own_keys:
         notes.append("method.rotation is not used by the linear law")
     pieces, _ = component_labels(mesh)

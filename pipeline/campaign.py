@@ -84,12 +84,18 @@ def run_campaign(
 
 def read_run(folder: Path) -> dict[str, Any]:
     """Return a variant's run.json, {} where there is none; raises OutputError where it cannot be read."""
+    path = folder / "run.json"
     try:
-        return dict(json.loads((folder / "run.json").read_text()))
+        run = json.loads(path.read_text())
     except FileNotFoundError:
         return {}
+    except NotADirectoryError as error:
+        raise OutputError(f"{path}: part of this path is a file, not a folder") from error
     except (OSError, ValueError) as error:
-        raise OutputError(f"{folder / 'run.json'}: cannot be read ({error}); remove it or use --force") from error
+        raise OutputError(f"{path}: cannot be read ({error}); remove it or use --force") from error
+    if not (isinstance(run, dict) and {"status", "case", "versions"} <= run.keys()):
+        raise OutputError(f"{path}: cannot be read (not the record of a run); remove it or use --force")
+    return run
 
 
 def _must_solve(case: Case, folder: Path, *, force: bool) -> bool:
@@ -224,6 +230,8 @@ def compare(
     paths = {n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png")}
     if not fresh and all(path.exists() for name, path in paths.items() if movie or "comparison.m" not in name):
         return [], []
+    for stale in ("comparison.mp4", "comparison.png"):
+        paths[stale].unlink(missing_ok=True)
     title = case.movie.title or case.name.replace("_", " ")
     dataset, notes = joined({name: read_statistics(folder / name / "statistics.nc") for name in usable}, title=title)
     write_dataset(dataset, paths["comparison.nc"])

@@ -71,6 +71,12 @@ def _parser() -> argparse.ArgumentParser:
     movie.add_argument("folder", metavar="FOLDER", type=Path, help="a result folder, such as outputs/bar")
     movie.set_defaults(run=_movie)
 
+    again = verbs.add_parser("reproduce", parents=[common], help="run the seeds' scenes; say what of them holds")
+    again.add_argument("--cases", type=Path, default=Path("cases"), metavar="DIR", help="where the cases are (cases)")
+    again.add_argument("--out", type=Path, default=Path("outputs"), metavar="DIR", help="where results go (outputs)")
+    again.add_argument("--force", action="store_true", help="solve again and replace what is there")
+    again.set_defaults(run=_reproduce)
+
     methods = verbs.add_parser("methods", parents=[common], help="what a case may choose from")
     methods.set_defaults(run=_methods)
     return parser
@@ -145,12 +151,10 @@ def _check(options: argparse.Namespace) -> int:
     from pipeline.check import check, lines
 
     case = _loaded(options)
-    found = {}
-    for name in options.variants or case.variant_names:
-        problem = build(case.variant(name))
-        found[name] = check(problem)
-        if not options.json:
-            print(name, *lines(found[name], problem), sep="\n  ")
+    problems = {name: build(case.variant(name)) for name in options.variants or case.variant_names}
+    found = {name: check(problem) for name, problem in problems.items()}
+    for name, problem in problems.items() if not options.json else ():
+        print(name, *lines(found[name], problem), sep="\n  ")
     if options.json:
         finite = {
             name: {key: value if value == value else None for key, value in asdict(one).items()}
@@ -168,6 +172,24 @@ def _movie(options: argparse.Namespace) -> int:
     if not options.quiet:
         print(path)
     return 0
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    from pipeline.reproduction import reproduce
+
+    with _progress(options.quiet) as bar:
+        result = reproduce(
+            options.cases,
+            options.out,
+            force=options.force,
+            notify=lambda _, problem, *rest: bar.solved(problem.name.split("/")[0], problem, *rest),
+            on_drawing=bar.drawn,
+        )
+    for name in result.failed:
+        _say(f"SolveError: {name}: see {result.markdown}")
+    if not options.quiet:
+        print(result.summary, result.html, result.markdown, sep="\n")
+    return result.exit_code
 
 
 def _methods(options: argparse.Namespace) -> int:
@@ -200,6 +222,7 @@ class _Progress:
         if self._display is None:
             return
         if name not in self._tasks:
+            self._display.start()  # not before there is something to show: an error is one line
             self._tasks[name] = self._display.add_task(name, total=total, text=text)
         self._display.update(self._tasks[name], completed=done, total=total, text=text)
 
@@ -220,8 +243,12 @@ def _progress(quiet: bool) -> Iterator[_Progress]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[text]}"),
     )
-    with Progress(*columns, console=Console(stderr=True)) as display:
+    display = Progress(*columns, console=Console(stderr=True))
+    try:
         yield _Progress(display)
+    finally:
+        if display.tasks:  # stopping what never started prints an empty line
+            display.stop()
 
 
 if __name__ == "__main__":

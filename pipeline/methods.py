@@ -19,7 +19,7 @@ from pipeline.stepping.bdf2 import BDF2
 from pipeline.stepping.guard import Guarded
 from pipeline.stepping.implicit import FrozenPasses, Prefactored, StageSolver
 from pipeline.stepping.inversion import Crossing, Last, Treatment
-from pipeline.stepping.linear_solve import BlockJacobiCG, LinearSolver, SuperLU
+from pipeline.stepping.linear_solve import BandedCholesky, BlockJacobiCG, LinearSolver, SuperLU, automatic
 from pipeline.stepping.newton import Converged, NewtonLimits
 from pipeline.stepping.state import Stepper
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
@@ -36,7 +36,8 @@ MASSES: Mapping[str, Callable[[Mesh, float], Floats]] = {
     "lumped": lumped_mass_pairs,
 }
 LINEAR_SOLVERS: Mapping[str, Callable[..., LinearSolver]] = {
-    "auto": SuperLU,
+    "auto": automatic,
+    "banded": BandedCholesky,
     "superlu": SuperLU,
     "cg": BlockJacobiCG,
 }
@@ -122,7 +123,8 @@ DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
         "crossing": "inverted cells: the direction that collapsed is negative; for one solve",
     },
     "method.linear_solver": {
-        "auto": "chooses for you: superlu",
+        "auto": "by size: banded while its band takes less than 1 GB, else cg",
+        "banded": "Cholesky of the band, factors every new matrix; fastest on small meshes",
         "superlu": "sparse direct, factors every new matrix",
         "cg": "conjugate gradients with block Jacobi to method.linear_rtol: for small steps",
     },

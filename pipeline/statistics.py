@@ -84,4 +84,6 @@ def joined(datasets: Mapping[str, "xarray.Dataset"], *, title: str) -> tuple["xa
 def write_dataset(dataset: "xarray.Dataset", path: Path) -> None:
     """Write a dataset as one whole netCDF file; raises OutputError."""
     with whole_file(path) as hidden:
-        dataset.to_netcdf(hidden, engine="netcdf4", format="NETCDF4")
+        # CF allows no fill value on a coordinate; xarray writes one on every float
+        bare = {str(name): {"_FillValue": None} for name in dataset.coords}
+        dataset.to_netcdf(hidden, engine="netcdf4", format="NETCDF4", encoding=bare)

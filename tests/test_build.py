@@ -123,7 +123,7 @@ def test_a_moving_support_is_where_its_motion_says(problem):
         ({"method": {"law": "lienar"}}, "method.law: 'lienar' is not one of linear, corotational"),
         ({"method": {"rotation": "qr"}}, "method.rotation: 'qr' is not one of polar, gram_schmidt"),
         ({"method": {"stepper": "euler"}}, "method.stepper: 'euler' is not one of backward_euler"),
-        ({"method": {"linear_solver": "lu"}}, "method.linear_solver: 'lu' is not one of auto, superlu, cg"),
+        ({"method": {"linear_solver": "lu"}}, "method.linear_solver: 'lu' is not one of "),
         ({"mesh": BAR | {"shape": "cube"}}, "mesh.shape: 'cube' is not one of box, rectangle"),
         ({"mesh": BAR | {"split": "delaunay"}}, "mesh"),
         ({"loads": {"gravity": [0.0, -9.81]}}, "loads.gravity: [0.0, -9.81] has 2 components, the mesh has 3"),
@@ -154,11 +154,12 @@ def test_a_case_of_several_variants_must_be_resolved_first(tmp_path):
     assert alone.name == "beam/default"
 
 
-def test_nodes_without_a_cell_are_refused(tmp_path, refused):
-    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [9, 9, 9]])
-    meshio.Mesh(points, [("tetra", np.array([[0, 1, 2, 3]]))]).write(tmp_path / "m.vtu")
-    text = refused(mesh={"file": "m.vtu"}, supports=[{"nodes": [0]}])
-    assert text == "mesh: 1 nodes belong to no cell, first 4; remove them"
+def test_nodes_without_a_cell_are_removed_with_a_note(tmp_path, problem):
+    points = np.array([[9.0, 9, 9], [0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    meshio.Mesh(points, [("tetra", np.array([[1, 2, 3, 4]]))]).write(tmp_path / "m.vtu")
+    one = problem(mesh={"file": "m.vtu"}, supports=[{"nodes": [0]}])
+    assert np.array_equal(one.body.mesh.points, points[1:])
+    assert [note for note in one.notes if note.startswith("m.vtu: 1 nodes that belong to no tetrahedron were removed")]
 
 
 def test_a_mesh_of_two_pieces_is_noted(tmp_path, problem):

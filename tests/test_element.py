@@ -98,7 +98,7 @@ def test_nodal_forces_are_minus_the_gradient_of_the_energy(mesh, name):
 def test_the_stiffness_is_minus_the_derivative_of_the_forces(mesh, name, kind):
     body, x = solid(mesh, **METHODS[name]), deformed(mesh, 0.05)
     f, K = body.linearise(x, kind=kind)
-    assert np.array_equal(f, body.force(x))
+    assert np.abs(f - body.force(x)).max() < 1e-13 * np.abs(f).max()
     K = body.pattern.matrix(K).toarray()
     wanted = np.empty_like(K)
     for column, step in enumerate(1e-6 * np.eye(x.size)):

@@ -146,11 +146,12 @@ HEXAHEDRON = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], 
     [
         (TET, [("triangle", [[0, 1, 2], [0, 1, 3]])], "surface; fill it with tetrahedron cells"),
         (TET, [("tetra", ONE[:, [1, 0, 2, 3]])], "1 inverted or flat tetrahedron cells"),
+        (np.concatenate([TET, TET + 5]), [("tetra", [[0, 1, 2, 3], [5, 4, 6, 7]])], "1 inverted or flat"),
         (HEXAHEDRON, [("hexahedron", [list(range(8))])], "has hexahedron; linear tetrahedra"),
         (np.random.default_rng(0).random((10, 3)), [("tetra10", [list(range(10))])], "has tetra10"),
         (TET, [("line", [[0, 1]])], "has line; linear tetrahedra or planar triangles are needed"),
     ],
-    ids=["surface", "inverted", "hexahedra", "quadratic", "lines"],
+    ids=["surface", "inverted", "one_of_two_inverted", "hexahedra", "quadratic", "lines"],
 )
 def test_a_mesh_file_that_cannot_be_simulated_is_refused_by_name(tmp_path, points, blocks, words):
     path = written(tmp_path / "it.vtu", points, blocks)

@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
 from pipeline.fem.element import deformation_gradient, nodal_forces, stiffness_blocks
 from pipeline.fem.laws import Law, Tangent
+from pipeline.fem.loads import lumped_mass_pairs
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports
 from pipeline.mesh.simplex import Floats, Ints, Mesh
@@ -68,7 +69,9 @@ class Body:
         return self.material.density * self.mesh.node_volumes
 
     def momentum(self, v: Floats) -> Floats:
-        """Return M v (n, d) [kg m/s]."""
+        """Return M v (n, d) [kg m/s]; lumped masses need no matrix."""
+        if self.mass_pairs is lumped_mass_pairs:
+            return self.lumped_mass[:, None] * v
         return self.pattern.product(self.mass, v)
 
     def rotations(self, x: Floats) -> Floats:

@@ -1,0 +1,72 @@
+"""What is set right on a mesh from a file, each with a note that says so, and what is refused because only its
+maker can know what was meant.
+
+Set right, as it changes no shape: cells listed twice (gmsh writes a cell once for each physical group that it is
+in), nodes that no cell names (centres of arcs; nodes of dropped boundary cells), and cells that are all mirrored,
+which is a convention of numbering. Refused: nodes on top of each other, where the body may be meant to come apart
+or be whole; and some mirrored cells among others, which lie on their neighbours.
+"""
+
+import numpy as np
+
+from pipeline.errors import MeshError
+from pipeline.mesh.simplex import CELL_NAMES, Floats, Ints, signed_volumes
+
+
+def check_connectivity(points: Floats, cells: Ints) -> None:
+    """Raise MeshError where a cell names a node that does not exist."""
+    bad = np.flatnonzero(((cells < 0) | (cells >= len(points))).any(axis=1))
+    if bad.size:
+        wrong = cells[bad[0]][(cells[bad[0]] < 0) | (cells[bad[0]] >= len(points))][0]
+        raise MeshError(f"cell {bad[0]} names node {wrong} of {len(points)} (counted from 0)")
+
+
+def without_repeated_cells(cells: Ints) -> tuple[Ints, list[str]]:
+    """Return the cells (e, d + 1), each once, in their order."""
+    _, first = np.unique(np.sort(cells, axis=1), axis=0, return_index=True)
+    removed = len(cells) - len(first)
+    if not removed:
+        return cells, []
+    return cells[np.sort(first)], [f"{removed} cells were listed twice and count once"]
+
+
+def without_unused_nodes(points: Floats, cells: Ints) -> tuple[Floats, Ints, list[str]]:
+    """Return points and cells without the nodes that no cell names; the others keep their order."""
+    used = np.zeros(len(points), dtype=bool)
+    used[cells] = True
+    unused = np.flatnonzero(~used)
+    if not unused.size:
+        return points, cells, []
+    note = (
+        f"{unused.size} nodes that belong to no {CELL_NAMES[cells.shape[1] - 1]} were removed, first {unused[0]}; "
+        f"node numbers in the case and in the results count the other {used.sum()} from 0, in the file's order"
+    )
+    return points[used], (np.cumsum(used) - 1)[cells], [note]
+
+
+def check_points(points: Floats) -> None:
+    """Raise MeshError for a point that is not finite or lies exactly on another."""
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise MeshError(f"{bad.size} points are not finite, first {bad[0]}: {points[bad[0]].tolist()}")
+    _, first, inverse = np.unique(points, axis=0, return_index=True, return_inverse=True)
+    original = first[inverse.ravel()]
+    twice = np.flatnonzero(original != np.arange(len(points)))
+    if twice.size:
+        raise MeshError(
+            f"{twice.size} nodes lie exactly on others, first {twice[0]} on {original[twice[0]]} at "
+            f"{points[twice[0]].tolist()}: the body would come apart there; merge them (gmsh: Coherence Mesh; "
+            "pyvista: grid.clean()), or set the parts a little apart if that is meant"
+        )
+
+
+def oriented(points: Floats, cells: Ints) -> tuple[Ints, list[str]]:
+    """Return the cells, reoriented where all of them, two or more, are mirrored; flat and mixed ones are left as is.
+
+    A single mirrored cell has no neighbour that agrees with it: it may as well be inverted, and is left too.
+    """
+    if len(cells) < 2 or not (signed_volumes(points, cells) < 0).all():
+        return cells, []
+    name = CELL_NAMES[points.shape[1]]
+    swapped = np.concatenate([cells[:, :-2], cells[:, :-3:-1]], axis=1)
+    return swapped, [f"all {len(cells)} {name} cells were mirrored and have been reoriented"]

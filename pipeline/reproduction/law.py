@@ -1,0 +1,90 @@
+r"""The law of spurious volume: a cell ends at J = sec^2 of the angle between the rotation that its solve used and the
+one it reached, when it has no strain in the frame used: F = R (I + W), det F = 1 + |axial W|^2 = 1 + tan^2.
+
+    linear      used I         J against the angle of the polar rotation
+    one solve   used R(x_n)    J against the angle between the polar rotations before and after the step
+
+A homogeneous rotation obeys it exactly; in a scene strain comes on top, so there the median and the band of
+J / sec^2 are reported.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.fem.element import deformation_gradient
+from pipeline.fem.rotation import angle, polar
+from pipeline.mesh.simplex import Floats, Mesh
+from pipeline.series import Series
+
+
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """Volume ratio J (k,) of cells and the angle (k,) [rad] between the rotation used and the one reached."""
+
+    angle: Floats
+    ratio: Floats
+
+    @property
+    def over_law(self) -> Floats:
+        """Return J / sec^2 (k,)."""
+        return np.asarray(self.ratio * np.cos(self.angle) ** 2)
+
+    @property
+    def largest_degrees(self) -> float:
+        """Return the largest angle [degrees]."""
+        return float(np.degrees(self.angle.max(initial=0.0)))
+
+
+@dataclass(frozen=True)
+class Band:
+    """J / sec^2 of the cells that turned by more than `above` [degrees]: how many, 5 %, median, 95 %, largest angle."""
+
+    above: float
+    count: int
+    low: float
+    median: float
+    high: float
+    largest_angle: float
+    largest_law: float  # sec^2 of the largest angle
+
+
+def linear_growth(series: Series) -> Growth:
+    """Return all cells and frames of a run of the linear law."""
+    pairs = [(angle(polar(F)), np.linalg.det(F)) for F in _gradients(series)]
+    return Growth(*(np.concatenate(column) for column in zip(*pairs, strict=True)))
+
+
+def step_growth(series: Series) -> Growth:
+    """Return all cells and steps of a run of one solve a step that recorded every step."""
+    angles, ratios, before = [], [], None
+    for F in _gradients(series):
+        R = polar(F)
+        if before is not None:
+            angles.append(angle(np.swapaxes(before, 1, 2) @ R))
+            ratios.append(np.linalg.det(F))
+        before = R
+    return Growth(np.concatenate(angles), np.concatenate(ratios)) if angles else Growth(np.zeros(0), np.zeros(0))
+
+
+def growth_between(mesh: Mesh, x_used: Floats, x: Floats) -> Growth:
+    """Return the growth at positions x (n, d) of a solve that used the rotations at x_used (n, d)."""
+    before, F = (deformation_gradient(mesh, points) for points in (x_used, x))
+    return Growth(angle(np.swapaxes(polar(before), 1, 2) @ polar(F)), np.linalg.det(F))
+
+
+def _gradients(series: Series) -> list[Floats]:
+    return [deformation_gradient(series.mesh, frame.x) for frame in series]
+
+
+def band(growth: Growth, above: float) -> Band | None:
+    """Return the band of the cells that turned by more than `above` degrees; None where none did."""
+    chosen = growth.angle > np.radians(above)
+    if not chosen.any():
+        return None
+    low, median, high = np.quantile(growth.over_law[chosen], [0.05, 0.5, 0.95])
+    largest = float(growth.angle.max())
+    return Band(
+        above, int(chosen.sum()), float(low), float(median), float(high),
+        float(np.degrees(largest)), float(1 / np.cos(largest) ** 2),
+    )  # fmt: skip

@@ -1,0 +1,145 @@
+"""A report as blocks, written as Markdown (pictures linked) and as one HTML file (pictures inside, no network)."""
+
+import base64
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+from pipeline.errors import OutputError
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A section's title; level 1 is the page's own."""
+
+    text: str
+    level: int = 2
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A text; `code` and **strong** are its only marks."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of texts under a head."""
+
+    head: tuple[str, ...]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG with a caption."""
+
+    path: Path
+    caption: str
+
+
+Block = Heading | Paragraph | Table | Picture
+_STYLE = """
+:root { color-scheme: light dark; --ink: #1b1e28; --soft: #5a6070; --rule: #d9dce3; --page: #fff; --band: #f5f6f9;
+  --good: #0b6b3a; --factor: #8a5a00; --bad: #a4262c; }
+@media (prefers-color-scheme: dark) { :root { --ink: #e6e8ee; --soft: #a0a7b8; --rule: #363b48; --page: #14161c;
+  --band: #1c1f28; --good: #5fd39a; --factor: #e8b65a; --bad: #ff8a8a; } }
+body { margin: 0 auto; padding: 2rem 1.25rem 4rem; max-width: 72rem; background: var(--page); color: var(--ink);
+  font: 1rem/1.6 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; }
+h1 { font-size: 1.9rem; line-height: 1.25; } h2 { margin-top: 3rem; border-bottom: 1px solid var(--rule); }
+h3 { margin-top: 2rem; } p { max-width: 46rem; } a { color: inherit; }
+nav { columns: 2; color: var(--soft); } nav a { display: block; }
+.wide { overflow-x: auto; } table { border-collapse: collapse; margin: 1rem 0; font-size: .88rem; line-height: 1.45; }
+caption { text-align: left; color: var(--soft); padding-bottom: .4rem; }
+th, td { text-align: left; vertical-align: top; padding: .35rem .8rem .35rem 0; border-bottom: 1px solid var(--rule); }
+th { border-bottom-width: 2px; } tbody tr:nth-child(even) { background: var(--band); }
+td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
+.good { color: var(--good); } .factor { color: var(--factor); } .bad { color: var(--bad); }
+figure { margin: 1.5rem 0; } 
+img { max-width: 100%; background: #fff; border: 1px solid var(--rule); border-radius: 4px; }
+figcaption { color: var(--soft); font-size: .9rem; max-width: 46rem; }
+code { font-size: .9em; }
+"""
+
+
+def markdown(blocks: Sequence[Block], folder: Path) -> str:
+    """Return the report as Markdown, pictures linked relative to a folder."""
+    return "\n\n".join(_markdown_block(block, folder) for block in blocks) + "\n"
+
+
+def _markdown_block(block: Block, folder: Path) -> str:
+    if isinstance(block, Heading):
+        return f"{'#' * block.level} {block.text}"
+    if isinstance(block, Paragraph):
+        return block.text
+    if isinstance(block, Picture):
+        place = Path(os.path.relpath(block.path, folder)).as_posix()
+        return f"![{block.caption}]({place})\n\n*{block.caption}*"
+    rows = [block.head, ("---",) * len(block.head), *block.rows]
+    lines = ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in rows]
+    return "\n".join([f"*{block.caption}*", "", *lines] if block.caption else lines)
+
+
+def html(blocks: Sequence[Block]) -> str:
+    """Return the report as one HTML page that asks for nothing; raises OutputError where a picture cannot be read."""
+    title = next(block.text for block in blocks if isinstance(block, Heading))
+    contents = "".join(
+        f'<a href="#{_anchor(b.text)}">{escape(b.text)}</a>' for b in blocks if isinstance(b, Heading) and b.level == 2
+    )
+    first, *others = (_html_block(block) for block in blocks)
+    body = "\n".join([first, f"<nav>{contents}</nav>", *others])
+    return (
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{escape(title)}</title>\n'
+        f"<style>{_STYLE}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
+    )
+
+
+def _html_block(block: Block) -> str:
+    if isinstance(block, Heading):
+        return f'<h{block.level} id="{_anchor(block.text)}">{escape(block.text)}</h{block.level}>'
+    if isinstance(block, Paragraph):
+        return f"<p>{_inline(block.text)}</p>"
+    if isinstance(block, Picture):
+        return (
+            f'<figure><img alt="{escape(block.caption)}" src="{_embedded(block.path)}">'
+            f"<figcaption>{_inline(block.caption)}</figcaption></figure>"
+        )
+    head = "".join(f"<th>{_inline(cell)}</th>" for cell in block.head)
+    rows = "\n".join("<tr>" + "".join(_html_cell(cell) for cell in row) + "</tr>" for row in block.rows)
+    caption = f"<caption>{_inline(block.caption)}</caption>" if block.caption else ""
+    return f'<div class="wide"><table>{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>'
+
+
+def _html_cell(text: str) -> str:
+    kind = ""
+    if text.startswith("not reproduced"):
+        kind = "bad"
+    elif text.startswith("reproduced"):
+        kind = "factor" if "with factor" in text else "good"
+    elif re.fullmatch(r"[-+−]?[\d.]+(e[-+]?\d+)?( %)?", text):
+        kind = "number"
+    return f'<td class="{kind}">{_inline(text)}</td>' if kind else f"<td>{_inline(text)}</td>"
+
+
+def _inline(text: str) -> str:
+    """Return HTML of a text with `code` and **strong**."""
+    safe = escape(text, quote=False)
+    safe = re.sub(r"`([^`]+)`", r"<code>\1</code>", safe)
+    return re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", safe)
+
+
+def _anchor(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+
+
+def _embedded(path: Path) -> str:
+    try:
+        return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be read ({error.strerror})") from error

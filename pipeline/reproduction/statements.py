@@ -1,0 +1,179 @@
+"""What the thesis says in words, put to the test on our runs; every threshold that a word is read as stands here."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.case import MethodSpec
+from pipeline.errors import SolveError
+from pipeline.fem.body import Body
+from pipeline.fem.laws import Corotational
+from pipeline.fem.loads import consistent_mass_pairs
+from pipeline.fem.material import Material
+from pipeline.fem.supports import Supports
+from pipeline.mesh.shapes import box
+from pipeline.methods import stage_solver
+from pipeline.reproduction.measured import Outcome, Scene
+from pipeline.reproduction.published import AS_PRINTED, THESIS_METHOD
+from pipeline.reproduction.verdicts import NOT_REPRODUCED, REPRODUCED, outcome
+from pipeline.series import read_series
+from pipeline.stepping.backward_euler import BackwardEuler
+from pipeline.stepping.state import State
+
+Scenes = Mapping[str, Scene]
+Tested = tuple[str, str]  # what was found, and the verdict
+
+SIMILAR = 0.10  # “very similar”: growths that differ by less than this part of the larger
+INFINITESIMAL = 0.01  # “infinitesimal”: growth below this part of the linear one
+SMALL = 0.10  # “small”: the same
+FIRST = 10  # “the first iterations” of 100
+STOPPED = 0.01  # “stops”: kinetic energy below this part of its largest
+
+
+def _paired(
+    scenes: Scenes, needs: tuple[tuple[str, str], ...], holds: Callable[..., bool], text: Callable[..., str]
+) -> Tested:  # fmt: skip
+    """Return what holds of the outcomes of (scene, variant) pairs, as printed and with the factor."""
+    findings, kept = [], []
+    for ending, how in ((AS_PRINTED, "as printed"), ("", "with factor")):
+        found = [outcome(scenes, scene + ending, variant) for scene, variant in needs]
+        if all(one is not None for one in found):
+            findings.append(f"{how}: {text(*found)}")
+            kept.append((holds(*found), how))
+    if not kept:
+        return "not run", f"{NOT_REPRODUCED}: not run"
+    if kept[0] == (True, "as printed"):
+        return "; ".join(findings), REPRODUCED
+    if kept[-1] == (True, "with factor"):
+        return "; ".join(findings), f"{REPRODUCED} with factor {scenes[needs[0][0]].factor:g}"
+    return "; ".join(findings), f"{NOT_REPRODUCED}: see what was found"
+
+
+def _growths(*outcomes: Outcome) -> str:
+    return " and ".join(f"{one.folder.name} {one.largest_ratio - 1:.3g}" for one in outcomes)
+
+
+def _both(scene: str) -> tuple[tuple[str, str], ...]:
+    return (scene, "linear"), (scene, THESIS_METHOD)
+
+
+def _smaller(part: float) -> Callable[[Outcome, Outcome], bool]:
+    return lambda linear, other: other.largest_ratio - 1 < part * (linear.largest_ratio - 1)
+
+
+def small_bar_alike(scenes: Scenes) -> Tested:
+    """Return whether the largest growths of f = 20 differ by less than 10 %."""
+    return _paired(scenes, _both("bar_small"), lambda a, b: not _smaller(1 - SIMILAR)(a, b), _growths)
+
+
+def bar_grows_less(scenes: Scenes) -> Tested:
+    """Return whether the linear bar grows more."""
+    return _paired(scenes, _both("bar"), _smaller(1.0), _growths)
+
+
+def same_cell(scenes: Scenes) -> Tested:
+    """Return whether the largest growth of both methods is in one cell."""
+    return _paired(
+        scenes, _both("bar"), lambda a, b: a.cell == b.cell, lambda a, b: f"cells {a.cell} and {b.cell}"
+    )  # fmt: skip
+
+
+def free_end(scenes: Scenes) -> Tested:
+    """Return whether the cell that grows most lies in the last layer of cells at y = 0."""
+
+    def farthest(linear: Outcome) -> float:
+        mesh = read_series(linear.folder).mesh
+        return float(mesh.points[mesh.cells[linear.cell], 1].max())
+
+    text = "the cell lies at y ≤ {:g} of 0…12 m"
+    # 1.5 m is one layer of cells
+    return _paired(scenes, (("bar", "linear"),), lambda a: farthest(a) <= 1.5, lambda a: text.format(farthest(a)))
+
+
+def first_iterations(scenes: Scenes) -> Tested:
+    """Return whether the largest growth falls in the first ten iterations."""
+    return _paired(
+        scenes, (("bar", "linear"),), lambda a: a.iteration <= FIRST, lambda a: f"iteration {a.iteration}"
+    )  # fmt: skip
+
+
+def bar_stops(scenes: Scenes) -> Tested:
+    """Return whether the bar's kinetic energy falls below 1 % of its largest within the run."""
+    found, verdict = _paired(
+        scenes, (("bar_small", "linear"),), lambda a: a.kinetic_kept < STOPPED,
+        lambda a: f"{a.kinetic_kept:.1e} of the kinetic energy is left",
+    )  # fmt: skip
+    return f"{found}. It is the integrator that damps, see Damping: the material has no viscosity", verdict
+
+
+def mushroom_infinitesimal(scenes: Scenes) -> Tested:
+    """Return whether the corotational growth is below 1 % of the linear one."""
+    return _paired(scenes, _both("mushroom"), _smaller(INFINITESIMAL), _growths)
+
+
+def armadillo_small(scenes: Scenes) -> Tested:
+    """Return whether the corotational growth is below 10 % of the linear one."""
+    return _paired(scenes, _both("armadillo"), _smaller(SMALL), _growths)
+
+
+def unconditionally_stable(scenes: Scenes) -> Tested:
+    """Return what one solve a step makes of a free 2 x 24 x 4 m bar in spin, 10 rad/s about x, y and z, dt = .5 s."""
+    grown = {name: spin_energy_growth(axis) for name, axis in zip("xyz", np.eye(3), strict=True)}
+    found = ", ".join(f"{value:.1e} about {name}" for name, value in grown.items())
+    text = f"one polar solve a step: a free bar spun at 10 rad/s with Δt = 0.5 s ends with kinetic energy × {found}"
+    if max(grown.values()) > 1:
+        return text, f"{NOT_REPRODUCED}: it holds for the linear law and for converged steps only"
+    return text, REPRODUCED
+
+
+def spin_energy_growth(axis: np.ndarray, steps: int = 100) -> float:
+    """Return the largest kinetic energy within the steps over that at the start, by one polar solve a step."""
+    mesh = box((2.0, 24.0, 4.0), (2, 8, 2))
+    law = Corotational(Material(1e8, 0.33, 1000.0))
+    body = Body(mesh, law, Supports(np.zeros(0, np.int64)), np.zeros_like(mesh.points), consistent_mass_pairs)
+    dt = 0.5
+    # without the energy guard, which would stop it
+    stepper = BackwardEuler(body, dt, stage_solver(body, dt, MethodSpec()))
+    v = 10.0 * np.cross(axis, mesh.points - mesh.points.mean(axis=0))
+    state = State(0, mesh.points.copy(), v)
+    energies = [float((v * body.momentum(v)).sum())]
+    try:
+        for _ in range(steps):
+            state, _ = stepper.step(replace(state))
+            energies.append(float((state.v * body.momentum(state.v)).sum()))
+    except SolveError:  # a matrix that can no longer be factored
+        return float("inf")
+    return energies[-1] / energies[0]
+
+
+def _real_time(scenes: Scenes, variant: str, expected: bool) -> Tested:
+    factors = {}
+    for scene in ("bar", "mushroom", "armadillo"):
+        run = outcome(scenes, scene + AS_PRINTED, variant)
+        if run is not None:
+            factors[scene] = run.dt / run.seconds_per_step
+    if not factors:
+        return "not run", f"{NOT_REPRODUCED}: not run"
+    found = ", ".join(f"{scene} {factor:.3g} × real time" for scene, factor in factors.items())
+    held = all((factor > 1) == expected for factor in factors.values())
+    return found, REPRODUCED if held else f"{NOT_REPRODUCED}: on today's hardware, with compiled sparse solvers"
+
+
+def linear_real_time(scenes: Scenes) -> Tested:
+    """Return whether every linear scene is solved faster than it moves."""
+    return _real_time(scenes, "linear", True)
+
+
+def corotational_real_time(scenes: Scenes) -> Tested:
+    """Return whether every corotational scene is solved slower than it moves, as the thesis found."""
+    return _real_time(scenes, THESIS_METHOD, False)
+
+
+TESTS: Mapping[str, Callable[[Scenes], Tested]] = {
+    test.__name__: test
+    for test in (
+        small_bar_alike, bar_grows_less, same_cell, free_end, first_iterations, bar_stops, mushroom_infinitesimal,
+        armadillo_small, unconditionally_stable, linear_real_time, corotational_real_time,
+    )
+}  # fmt: skip

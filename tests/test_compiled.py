@@ -1,0 +1,63 @@
+"""Compiled kernels give what the plain numpy lines give."""
+
+import numpy as np
+import pytest
+
+from pipeline.fem.body import Body
+from pipeline.fem.compiled import CompiledBody, make_body
+from pipeline.fem.laws import Corotational, Linear
+from pipeline.fem.loads import consistent_mass_pairs
+from pipeline.fem.material import Material
+from pipeline.fem.rotation import gram_schmidt, polar, polar_by_svd
+from pipeline.fem.supports import Supports
+from pipeline.mesh.shapes import box, rectangle
+
+MATERIAL = Material(1e6, 0.3, 1000.0)
+NOWHERE = Supports(np.zeros(0, dtype=np.int64))
+
+
+@pytest.fixture
+def bodies() -> tuple[Body, Body]:
+    mesh = box([1.0, 2.0, 1.5], [2, 3, 2])
+    arguments = (mesh, Corotational(MATERIAL), NOWHERE, np.zeros_like(mesh.points), consistent_mass_pairs)
+    return Body(*arguments), CompiledBody(*arguments)
+
+
+@pytest.mark.parametrize("shake", [0.0, 0.05, 0.5, 5.0], ids=["rest", "strained", "some inverted", "scrambled"])
+def test_forces_stiffness_and_energy_are_those_of_the_plain_body(bodies: tuple[Body, Body], shake: float) -> None:
+    plain, compiled = bodies
+    rng = np.random.default_rng(1)
+    x = plain.mesh.points @ polar(rng.normal(size=(1, 3, 3)))[0] + shake * rng.normal(size=plain.mesh.points.shape)
+    assert compiled.energy(x) == pytest.approx(plain.energy(x), rel=1e-11, abs=1e-9 * 1e6 * 3)
+    f, K = plain.linearise(x)
+    # of the largest force or stiffness that this motion makes, and of what a strain of one makes
+    f_scale, K_scale = max(np.abs(f).max(), 1e6), np.abs(K).max()
+    for given in (None, plain.rotations(x)):
+        g, L = compiled.linearise(x, given)
+        np.testing.assert_allclose(g, f, atol=1e-11 * f_scale)
+        np.testing.assert_allclose(L, K, atol=1e-10 * K_scale)
+    np.testing.assert_allclose(compiled.force(x), f, atol=1e-11 * f_scale)
+    np.testing.assert_allclose(compiled.linearise(x, kind="projected")[1], plain.linearise(x, kind="projected")[1])
+
+
+@pytest.mark.parametrize("spread", [0.01, 0.3, 1.0, 30.0])
+def test_rotations_are_those_of_the_singular_value_decomposition(spread: float) -> None:
+    rng = np.random.default_rng(2)
+    F = polar_by_svd(rng.normal(size=(20000, 3, 3))) @ (np.eye(3) + spread * rng.normal(size=(20000, 3, 3)))
+    R, S = polar(F), polar_by_svd(F)
+    s = np.linalg.svd(F)[1]
+    sign = np.sign(np.linalg.det(F))
+    gap = (s[:, 1] + sign * s[:, 2]) / s[:, 0]  # how well F determines its rotation
+    assert (np.abs(R - S).max(axis=(1, 2)) * gap).max() < 1e-13
+
+
+@pytest.mark.parametrize(
+    "law", [Linear(MATERIAL), Corotational(MATERIAL, gram_schmidt)], ids=["linear", "gram_schmidt"]
+)
+def test_what_has_no_kernel_runs_on_numpy(law: Linear | Corotational) -> None:
+    mesh = box([1.0, 1.0, 1.0], [1, 1, 1])
+    assert type(make_body(mesh, law, NOWHERE, mesh.points, consistent_mass_pairs)) is Body
+    plane = rectangle([1.0, 1.0], [1, 1])
+    corotational = Corotational(MATERIAL)
+    assert type(make_body(plane, corotational, NOWHERE, plane.points, consistent_mass_pairs)) is Body
+    assert type(make_body(mesh, corotational, NOWHERE, mesh.points, consistent_mass_pairs)) is CompiledBody
