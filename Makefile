@@ -28,7 +28,7 @@ run: setup ## Run the example: cases/bar.toml -> outputs/bar (solved anew each t
 	$(BIN)/pipeline run cases/bar.toml --force
 
 report: setup ## All scenes of the seeds from nothing -> outputs/reproduction.html and .md: what of them holds
-	$(BIN)/pipeline reproduce --force
+	OMP_NUM_THREADS=1 $(BIN)/pipeline reproduce --force
 
 test: setup lint ## Everything that CI runs: lint, then all tests
 	$(PYTEST)

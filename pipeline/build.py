@@ -9,6 +9,7 @@ from pipeline.conditions import dead_load, initial_state, supports
 from pipeline.errors import MeshError
 from pipeline.fem.body import Body
 from pipeline.fem.compiled import make_body
+from pipeline.fem.laws import Corotational
 from pipeline.fem.material import Material
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.simplex import Mesh, component_labels
@@ -50,7 +51,8 @@ def build(case: Case) -> Problem:
     mesh = build_mesh(case, note=mesh_notes.append)
     m = case.material
     material = Material(m.youngs_modulus, m.poisson_ratio, m.density)
-    law = LAWS[case.method.law](material, ROTATIONS[case.method.rotation])
+    auto = case.method.model == "auto"
+    law = Corotational(material) if auto else LAWS[case.method.law](material, ROTATIONS[case.method.rotation])
     body = make_body(mesh, law, supports(case, mesh), dead_load(case, mesh), MASSES[case.method.mass])
     if not body.free.size:
         raise case.error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
@@ -100,15 +102,20 @@ def _check_method(case: Case) -> None:
     }
     for key, table in tables.items():
         _chosen(case, f"method.{key}", getattr(method, key), table)
+    if method.model == "auto":
+        if method.stepper in STEP_LIMITS or method.inversion != "flip":
+            raise case.error("method.model", "'auto' goes with implicit steppers and inversion = 'flip'")
+        return
+    if INVERSIONS[method.inversion] is not None and (
+        method.law == "linear" or method.rotation != "polar" or method.iterations != 1
+    ):
+        needed = "the corotational law with polar rotations and iterations = 1"
+        raise case.error("method.inversion", f"{method.inversion!r} has a memory: it goes with {needed}")
     if method.law == "linear" or method.stepper in STEP_LIMITS:
         return
     if method.iterations == "converged" and method.rotation != "polar":
         raise case.error(
             "method.iterations", f"'converged' needs a potential, which {method.rotation} has not; use polar"
-        )
-    if INVERSIONS[method.inversion] is not None and (method.iterations != 1 or method.rotation != "polar"):
-        raise case.error(
-            "method.inversion", f"{method.inversion!r} has a memory: it goes with polar and iterations = 1"
         )
 
 
@@ -116,15 +123,16 @@ def _check_step(case: Case, body: Body) -> None:
     """Raise CaseError where the stepper has a limit and dt is above it."""
     if case.method.stepper not in STEP_LIMITS:
         return
-    bound, limit = STEP_LIMITS[case.method.stepper]
-    dt = case.schedule.dt
-    if dt <= bound(body):
+    bound_of, limit_of = STEP_LIMITS[case.method.stepper]
+    dt, bound = case.schedule.dt, bound_of(body)
+    if dt <= bound:
         return
-    if dt >= limit(body):
+    limit = limit_of(body)
+    if dt >= limit:
         raise case.error(
             "schedule.dt",
-            f"{dt:g} is above the limit of {case.method.stepper}: {limit(body):.4g} s for this body, "
-            f"{bound(body):.4g} s by the bound over its cells",
+            f"{dt:g} is above the limit of {case.method.stepper}: {limit:.4g} s for this body, "
+            f"{bound:.4g} s by the bound over its cells",
         )
 
 
@@ -136,6 +144,9 @@ def _chosen(case: Case, key: str, name: str, table: Mapping[str, Any]) -> str:
 
 def _notes(case: Case, mesh: Mesh, mesh_notes: Sequence[str]) -> tuple[str, ...]:
     notes = [*case.notes, *mesh_notes]
+    unused = [key for key in ("law", "rotation", "iterations") if f"method.{key}" in case.own_keys]
+    if case.method.model == "auto" and unused:
+        notes.append(f"method.{', method.'.join(unused)} not used: method.model = 'auto' decides")
     if case.method.law == "linear" and "method.rotation" in case.own_keys:
         notes.append("method.rotation is not used by the linear law")
     pieces, _ = component_labels(mesh)

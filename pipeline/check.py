@@ -10,6 +10,7 @@ from pipeline.errors import SolveError
 from pipeline.fem.modes import lowest_frequencies
 from pipeline.mesh.simplex import component_labels, quality
 from pipeline.stepping.backward_euler import damping_ratio
+from pipeline.stepping.symplectic_euler import element_limit, true_limit
 
 # eigenvalues of larger bodies take longer than many a run
 _MODE_LIMIT = 200_000
@@ -17,7 +18,9 @@ _MODE_LIMIT = 200_000
 
 @dataclass(frozen=True)
 class Check:
-    """Counts, volumes [m3], quality (1 is regular), lowest frequency [rad/s], z = omega dt and its damping ratio."""
+    """Counts, volumes [m3], quality (1 is regular), lowest frequency [rad/s], z = omega dt and its damping ratio,
+    and the steps [s] below which symplectic Euler is stable: by a bound over the cells, and the limit itself.
+    """
 
     dimension: int
     nodes: int
@@ -35,6 +38,8 @@ class Check:
     omega_1: float
     z: float
     damping: float
+    explicit_bound: float
+    explicit_limit: float
 
 
 def check(problem: Problem) -> Check:
@@ -61,6 +66,8 @@ def check(problem: Problem) -> Check:
         omega_1=omega,
         z=z,
         damping=damping_ratio(z),
+        explicit_bound=element_limit(body),
+        explicit_limit=_limit(problem),
     )
 
 
@@ -72,6 +79,12 @@ def _lowest(problem: Problem) -> float:
     except SolveError:
         return float("nan")
     return float(found[0]) if len(found) else float("nan")
+
+
+def _limit(problem: Problem) -> float:
+    if len(problem.body.mesh.cells) > _MODE_LIMIT:
+        return float("nan")
+    return true_limit(problem.body)
 
 
 def lines(found: Check, problem: Problem) -> list[str]:
@@ -96,6 +109,10 @@ def lines(found: Check, problem: Problem) -> list[str]:
                 f"damping      backward Euler damps that mode by {100 * found.damping:.3g} % of critical"
                 + (f"; for 1 % take dt near {_dt_for(0.01) / found.omega_1:.2g} s" if found.damping > 0.01 else "")
             )
+    rows.append(
+        f"explicit     symplectic Euler is stable below {found.explicit_limit:.4g} s; "
+        f"the bound over the cells is {found.explicit_bound:.4g} s"
+    )
     rows += [f"note         {note}" for note in problem.notes]
     return rows
 

@@ -78,8 +78,11 @@ def _motion(case: Case, key: str, spec: Any, mesh: Mesh) -> Motion:
     velocity = vector(case, f"{key}.velocity", spec.velocity, d)
     if spec.spin is None:
         return Motion(velocity, np.array([0.0, 0.0, 1.0]), 0.0, np.zeros(d))
+    axis = _axis(case, f"{key}.spin", spec.spin, d)
+    if spec.spin.center is None:
+        raise case.error(f"{key}.spin.center", "missing: the point that the supports turn about")
     center = vector(case, f"{key}.spin.center", spec.spin.center, d)
-    return Motion(velocity, _axis(case, f"{key}.spin", spec.spin, d), float(np.radians(spec.spin.rate)), center)
+    return Motion(velocity, axis, float(np.radians(spec.spin.rate)), center)
 
 
 def _axis(case: Case, key: str, spin: SpinSpec, d: int) -> Floats:

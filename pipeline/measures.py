@@ -40,6 +40,8 @@ VARIABLES: Mapping[str, Variable] = {
     "linear_momentum": Variable(("axis",), "kg m s-1", "linear momentum"),
     "angular_momentum": Variable(("axis",), "kg m2 s-1", "angular momentum about the origin"),
     "newton_iterations": Variable((), "1", "linear systems solved since the frame before"),
+    "rung": Variable((), "1", "highest model since the frame before: 0 linear, 1 corotational, 2 converged"),
+    "indicator": Variable((), "1", "largest spurious volume of a step since the frame before"),
 }
 # what does not change from frame to frame, and the coordinates
 FIXED: Mapping[str, Variable] = {

@@ -16,6 +16,7 @@ from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Floats, Mesh
 from pipeline.stepping.backward_euler import BackwardEuler
 from pipeline.stepping.bdf2 import BDF2
+from pipeline.stepping.fidelity import Auto
 from pipeline.stepping.guard import Guarded
 from pipeline.stepping.implicit import FrozenPasses, Prefactored, StageSolver
 from pipeline.stepping.inversion import Crossing, Last, Treatment
@@ -77,10 +78,28 @@ def stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     solver = LINEAR_SOLVERS[method.linear_solver](pattern, method.linear_rtol)
     if body.law.constant_tangent:
         return Prefactored(body, solver, h)
+    if method.model == "auto":
+        return _auto(body, h, method)
     if isinstance(method.iterations, int):
         return FrozenPasses(body, solver, method.iterations)
     limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
     return Converged(body, solver, limits)
+
+
+def _auto(body: Body, h: float, method: MethodSpec) -> StageSolver:
+    """Return the ladder of all three; the linear rung keeps its factor, so it has a solver of its own."""
+    pattern, _ = body.free_pattern
+    made = LINEAR_SOLVERS[method.linear_solver]
+    limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
+    linear = Body(body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs)
+    changing = made(pattern, method.linear_rtol)
+    return Auto(
+        body,
+        Prefactored(linear, made(pattern, method.linear_rtol), h),
+        FrozenPasses(body, changing, 1),
+        Converged(body, changing, limits),
+        method.volume_tolerance,
+    )
 
 
 def _treatment(method: MethodSpec) -> Treatment | None:
@@ -96,6 +115,10 @@ def _guarded(stepper: Stepper, body: Body, method: MethodSpec) -> Stepper:
 
 # what `pipeline methods` prints: table, its key in a case file, and a line for every name
 DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
+    "method.model": {
+        "fixed": "law, rotation and iterations as the case gives them",
+        "auto": "linear, corotational or converged, whichever a step needs to keep method.volume_tolerance",
+    },
     "method.law": {
         "linear": "small strains and rotations; grows by 1/cos^2 of the angle; one factor for the whole run",
         "corotational": "linear elasticity in each cell's own rotated frame",

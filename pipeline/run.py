@@ -78,10 +78,18 @@ def _frame(problem: Problem, state: State, work: Work) -> Frame:
         x=state.x,
         step=state.step,
         v=state.v,
-        known=dynamics(problem.body, state) | {"newton_iterations": np.asarray(float(work.iterations))},
+        known=dynamics(problem.body, state) | _effort(problem, work),
         work=work,
         state=state,
     )
+
+
+def _effort(problem: Problem, work: Work) -> dict[str, Floats]:
+    """Return what the steps since the frame before took, by the names of measures.VARIABLES."""
+    effort = {"newton_iterations": np.asarray(float(work.iterations))}
+    if problem.method.model == "auto":
+        effort |= {"rung": np.asarray(float(work.rung)), "indicator": np.asarray(work.indicator)}
+    return effort
 
 
 def dynamics(body: Body, state: State) -> dict[str, Floats]:

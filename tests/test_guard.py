@@ -102,26 +102,36 @@ class Stopping:
         return self.states.pop(0), Work(steps=1)
 
 
+def guarded(body: Body, start: float, *speeds: float) -> State:
+    """The end of a guarded body at its rest positions, all free nodes of which have these speeds, step by step."""
+    X = body.mesh.points
+    first, *others = (
+        State(i, X, np.where(body.free_mask[:, None], speed * np.eye(3)[0], 0.0), {"kept": np.ones(1)})
+        for i, speed in enumerate((start, *speeds))
+    )
+    prepared = Guarded(body, Stopping(*others))
+    for _ in speeds:
+        first, _ = prepared.step(first)
+    return first
+
+
 def test_three_steps_in_a_row_are_too_many_and_two_are_not():
     body = clamped_bar(**METHODS["polar"])
-    X = body.mesh.points
-    calm, wild = (np.where(body.free_mask[:, None], speed * np.ones(3), 0.0) for speed in (1.0, 5.0))
-
-    def states(*speeds: np.ndarray) -> list[State]:
-        return [State(i + 1, X, v, {"kept": np.ones(1)}) for i, v in enumerate(speeds)]
-
-    def steps(*speeds: np.ndarray) -> State:
-        prepared, state = Guarded(body, Stopping(*states(*speeds))), State(0, X, calm)
-        for _ in speeds:
-            state, _ = prepared.step(state)
-        return state
-
-    assert set(steps(wild, wild, calm, wild, wild).memory) == {"guard", "kept"}
-    start = 0.5 * (calm * body.momentum(calm)).sum()
-    # 25 times the energy; 3.1 times the speed is 9.6 times
+    assert set(guarded(body, 1.0, 5.0, 5.0, 1.0, 5.0, 5.0).memory) == {"guard", "kept"}
+    guarded(body, 1.0, 3.1, 3.1, 3.1)  # 9.6 times the energy
+    v = np.where(body.free_mask[:, None], np.eye(3)[0], 0.0)
+    start = 0.5 * (v * body.momentum(v)).sum()
     with pytest.raises(SolveError, match=re.escape(f"{25 * start:.3g} J, more than 10 x the {start:.3g} J")):
-        steps(calm, wild, wild, wild)
-    steps(*3 * [3.1 * calm])
+        guarded(body, 1.0, 1.0, 5.0, 5.0, 5.0)
+
+
+def test_a_body_that_starts_with_no_energy_at_all_may_have_that_of_a_strain_of_a_hundred_thousandth():
+    body = clamped_bar(**METHODS["polar"])
+    scale = 1e-10 * (body.material.lam + 2 * body.material.mu) * body.mesh.rest_volumes.sum()  # 2.8 J
+    speed = np.sqrt(2 * scale / body.lumped_mass[body.free].sum())
+    guarded(body, 0.0, *3 * [3 * speed])
+    with pytest.raises(SolveError, match="energy has no source"):
+        guarded(body, 0.0, *3 * [4 * speed])
 
 
 @pytest.mark.parametrize("broken", ["x", "v"])

@@ -163,6 +163,15 @@ def test_crossing_takes_the_direction_that_collapsed_and_last_the_rotation_from_
     assert np.abs(polar(deep[None])[0] - Q).max() > 0.5
 
 
+@pytest.mark.parametrize("d", [2, 3])
+def test_crossing_forgets_the_direction_of_a_cell_that_has_recovered(d):
+    made, memory = INVERSIONS["crossing"](), {}
+    last, first = np.array([[1.0, 1.0, -1.5], [-1.5, 1.0, 1.0]])[:, [0, 2] if d == 2 else [0, 1, 2]]
+    for stretches in (last, np.ones(d), first):
+        R, memory = made.rotations(np.diag(stretches)[None], memory)
+        assert np.abs(R[0] - np.eye(d)).max() < 1e-14
+
+
 @pytest.mark.parametrize("stepper", ["backward_euler", "bdf2", "symplectic_euler"])
 @pytest.mark.parametrize("treatment", ["last", "crossing"])
 def test_every_stepper_carries_the_memory_of_its_treatment(treatment, stepper):

@@ -194,6 +194,8 @@ class InitialSpec(Spec):
 class MethodSpec(Spec):
     """What is swapped between variants; names are keys of the tables in methods.py."""
 
+    model: Annotated[str, choice("fixed", "auto")] = "fixed"
+    volume_tolerance: Fraction = 0.01
     law: Text = "corotational"
     rotation: Text = "polar"
     stepper: Text = "backward_euler"

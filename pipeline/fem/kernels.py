@@ -8,21 +8,10 @@ import numpy as np
 from numba import njit
 
 # Newton on the quartic starts above its largest root and falls monotonically; near a double root it slows down, and
-# the eigenvector's cofactors lose their digits: below this part of their natural size an SVD decides.
+# the eigenvector's cofactors lose their digits: below this part of their natural size Jacobi's sweeps decide.
 _SEPARATED = 1e-5
 _NEWTON = 30
-
-
-@njit(cache=True, error_model="numpy")
-def _svd_rotation(F):
-    """Return the closest rotation to F (3, 3) by SVD, for the few that the quartic cannot tell."""
-    largest = np.abs(F).max()
-    if largest == 0.0:
-        return np.eye(3)
-    U, _, Vt = np.linalg.svd(F / largest)
-    if np.linalg.det(U) * np.linalg.det(Vt) < 0:
-        U[:, 2] = -U[:, 2]
-    return U @ Vt
+_SWEEPS = 20  # 4 x 4 needs about 5
 
 
 @njit(cache=True, error_model="numpy")
@@ -53,13 +42,9 @@ def polar_rotation(F, R):
     if not (largest > 0.0) or not np.isfinite(largest):
         R[:] = np.eye(3)
         return
-    s = 1.0 / largest
-    if not np.isfinite(s):
-        R[:] = _svd_rotation(F)
-        return
-    xx, xy, xz = s * F[0, 0], s * F[0, 1], s * F[0, 2]
-    yx, yy, yz = s * F[1, 0], s * F[1, 1], s * F[1, 2]
-    zx, zy, zz = s * F[2, 0], s * F[2, 1], s * F[2, 2]
+    xx, xy, xz = F[0, 0] / largest, F[0, 1] / largest, F[0, 2] / largest
+    yx, yy, yz = F[1, 0] / largest, F[1, 1] / largest, F[1, 2] / largest
+    zx, zy, zz = F[2, 0] / largest, F[2, 1] / largest, F[2, 2] / largest
     n00, n11, n22, n33 = xx + yy + zz, xx - yy - zz, yy - xx - zz, zz - xx - yy
     n01, n02, n03 = zy - yz, xz - zx, yx - xy
     n12, n13, n23 = xy + yx, xz + zx, yz + zy
@@ -73,7 +58,7 @@ def polar_rotation(F, R):
     c0 = b01 * a23 - b02 * a13 + b03 * a12 + b12 * a03 - b13 * a02 + b23 * a01
     root = _largest_root(-2.0 * square, -8.0 * det, c0, np.sqrt(3.0 * square))
     if not _null_rotation(n00 - root, n11 - root, n22 - root, n33 - root, n01, n02, n03, n12, n13, n23, root, R):
-        R[:] = _svd_rotation(F)
+        _jacobi_rotation(n00, n11, n22, n33, n01, n02, n03, n12, n13, n23, R)
 
 
 @njit(cache=True, error_model="numpy")
@@ -102,12 +87,51 @@ def _null_rotation(m00, m11, m22, m33, m01, m02, m03, m12, m13, m23, root, R):
         w, x, y, z = q02, q12, d2, q23
     else:
         w, x, y, z = q03, q13, q23, d3
+    _quaternion_rotation(w, x, y, z, R)
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _quaternion_rotation(w, x, y, z, R):
+    """Write the rotation of the quaternion (w, x, y, z), of any length, into R."""
     r = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w * r, x * r, y * r, z * r
     R[0, 0], R[0, 1], R[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
     R[1, 0], R[1, 1], R[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
     R[2, 0], R[2, 1], R[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _jacobi_rotation(n00, n11, n22, n33, n01, n02, n03, n12, n13, n23, R):
+    """Write the rotation of an eigenvector of the largest eigenvalue of N into R, by Jacobi's sweeps.
+
+    For the few N whose largest eigenvalue is all but double: any vector of its space is as good, and this finds one.
+    """
+    A = np.array([[n00, n01, n02, n03], [n01, n11, n12, n13], [n02, n12, n22, n23], [n03, n13, n23, n33]])
+    Q = np.eye(4)
+    for _ in range(_SWEEPS):
+        off = 0.0
+        for p in range(3):
+            for q in range(p + 1, 4):
+                off = max(off, abs(A[p, q]))
+                if A[p, q] == 0.0:
+                    continue
+                tau = (A[q, q] - A[p, p]) / (2.0 * A[p, q])
+                t = (1.0 if tau >= 0.0 else -1.0) / (abs(tau) + np.sqrt(1.0 + tau * tau))
+                c = 1.0 / np.sqrt(1.0 + t * t)
+                s = t * c
+                for k in range(4):
+                    A[p, k], A[q, k] = c * A[p, k] - s * A[q, k], s * A[p, k] + c * A[q, k]
+                for k in range(4):
+                    A[k, p], A[k, q] = c * A[k, p] - s * A[k, q], s * A[k, p] + c * A[k, q]
+                    Q[k, p], Q[k, q] = c * Q[k, p] - s * Q[k, q], s * Q[k, p] + c * Q[k, q]
+        if off < 1e-16:
+            break
+    best = 0
+    for k in range(1, 4):
+        if A[k, k] > A[best, best]:
+            best = k
+    _quaternion_rotation(Q[0, best], Q[1, best], Q[2, best], Q[3, best], R)
 
 
 @njit(cache=True, error_model="numpy")

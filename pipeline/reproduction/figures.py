@@ -35,26 +35,31 @@ def states_figure(series: Mapping[str, Series], states: Mapping[str, Sequence[in
     tracks = [read_track(one, name.replace("_", " ")) for name, one in series.items()]
     shown = [[i for i in states[name] if i < len(one)] for name, one in series.items()]
     radius = colour_radius(tracks)
-    columns, line = max(len(row) for row in shown), 30
-    width, height = _PANEL
-    page = Image.new("RGB", (columns * width, len(tracks) * (height + line) + line), "white")
+    columns, deep = _grid(max(len(row) for row in shown))
+    (width, height), line = _PANEL, 32
+    page = Image.new("RGB", (columns * width, len(tracks) * deep * (height + line) + line), "white")
     draw = ImageDraw.Draw(page)
-    camera, palette = fit_camera(tracks), Palette(radius)
-    scene = Scene(tracks, camera, palette, _PANEL)
+    scene = Scene(tracks, fit_camera(tracks), Palette(radius), _PANEL)
     try:
-        for row, (track, frames) in enumerate(zip(tracks, shown, strict=True)):
-            for column, index in enumerate(frames):
-                picture = scene.draw([(min(index, len(t.times) - 1), False) for t in tracks])[row]
-                corner = (column * width, row * (height + line))
-                page.paste(picture, (corner[0], corner[1] + line))
-                text = f"{track.label}, iteration {index}: V/V₀ up to {track.high[index]:.3f}"
-                draw.text((corner[0] + width / 2, corner[1] + line / 2), text, "#1b1e28", font(14), anchor="mm")
+        for row, index in ((row, index) for row, frames in enumerate(shown) for index in frames):
+            picture = scene.draw([(min(index, len(t.times) - 1), False) for t in tracks])[row]
+            down, across = divmod(shown[row].index(index), columns)
+            left, top = across * width, (row * deep + down) * (height + line)
+            page.paste(picture, (left, top + line))
+            text = f"{tracks[row].label}, iteration {index}: V/V₀ up to {tracks[row].high[index]:.3f}"
+            draw.text((left + width / 2, top + line / 2), text, "#1b1e28", font(16), anchor="mm")
     finally:
         scene.close()
     legend = f"colour: blue V/V₀ ≤ {1 - radius:.2f}, grey 1, red ≥ {1 + radius:.2f}; magenta inverted; thin: rest shape"
-    draw.text((page.width / 2, page.height - line / 2), legend, "#5a6070", font(13), anchor="mm")
+    draw.text((page.width / 2, page.height - line / 2), legend, "#5a6070", font(16), anchor="mm")
     with whole_file(path) as hidden:
         page.save(hidden, format="PNG", optimize=True)
+
+
+def _grid(count: int) -> tuple[int, int]:
+    """Return columns and rows for some pictures: four in a row at most, and no row of one."""
+    columns = count if count <= 4 else 3
+    return columns, -(-count // columns)
 
 
 def law_figure(growths: Mapping[str, Growth], path: Path, *, across: str) -> None:
@@ -88,11 +93,12 @@ def _draw_growth(axes: "Axes", growth: Growth) -> None:
     """Draw the points of one scene and the curve over them."""
     degrees = np.degrees(growth.angle)
     axes.plot(degrees, growth.ratio, ".", color="#0072B2", markersize=1.6, alpha=0.35, rasterized=True)
-    end = min(float(growth.angle.max(initial=0.01)) * 1.05, float(_STEEPEST))
+    end = min(float(growth.angle.max(initial=1e-4)) * 1.05, float(_STEEPEST))
     curve = np.linspace(0, end, 200)
     axes.plot(np.degrees(curve), 1 / np.cos(curve) ** 2, color="#D55E00", linewidth=1.8, label="sec²")
     high = max(float(growth.ratio.max(initial=1.0)), 1.01)
     low = min(float(growth.ratio.min(initial=1.0)), 0.99)
     axes.set_ylim(low - 0.05 * (high - low), high + 0.08 * (high - low))
-    axes.set_xlim(0, max(float(np.degrees(end)), 0.1))
+    axes.set_xlim(0, float(np.degrees(end)))
+    axes.spines["right"].set_visible(False)
     axes.legend(loc="upper left", frameon=False, fontsize=9)

@@ -60,7 +60,7 @@ th, td { text-align: left; vertical-align: top; padding: .35rem .8rem .35rem 0; 
 th { border-bottom-width: 2px; } tbody tr:nth-child(even) { background: var(--band); }
 td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
 .good { color: var(--good); } .factor { color: var(--factor); } .bad { color: var(--bad); }
-figure { margin: 1.5rem 0; } 
+figure { margin: 1.5rem 0; }
 img { max-width: 100%; background: #fff; border: 1px solid var(--rule); border-radius: 4px; }
 figcaption { color: var(--soft); font-size: .9rem; max-width: 46rem; }
 code { font-size: .9em; }

@@ -75,6 +75,7 @@ class Correction:
 AS_PRINTED = "_as_printed"
 SCENES = ("bar_small", "bar", "mushroom", "armadillo")
 PLANAR_SCENE = "beam2d"
+COUNTED = ("nodes", "cells", "iteration")  # quantities that are counts
 THESIS_METHOD = "gram_schmidt"  # T 6.11; one solve a step
 
 
@@ -99,7 +100,7 @@ NUMBERS: tuple[Number, ...] = (
     _volume("bar, f = 20, corotational: largest volume [m3]", "1.27", "T 7.1.2, 1.45 - 0.18", "bar_small",
             THESIS_METHOD, remark="1.27 is the linear value; 0.18 may be a misprint of 0.28, which would give 1.17"),
     _volume("bar, f = 40, corotational: largest volume [m3]", "1.45", "T 7.1.2", "bar", THESIS_METHOD,
-            remark="its maximum falls in the first step, whose rotations are those of rest: it tests no rotation"),
+            remark="with the factor it falls in the first step, whose rotations are those of rest: it tests none"),
     _volume("bar, corotational: f = 40 less f = 20 [m3]", "0.18", "T 7.1.2", "bar", THESIS_METHOD, less="bar_small",
             remark="it may be a misprint of 0.28"),
     _count("mushroom", "nodes", "nodes", 219, "T 5.2"),
@@ -162,14 +163,14 @@ CORRECTIONS: tuple[Correction, ...] = (
                "f(x) = f~(φ(x)); J = ∂x/∂ξ, ∇f = J^-T ∇~f~"),
     Correction("T 4.30, (*)_2, third sum", "∂N_i/∂x ∂N_j/∂x", "∂N_i/∂z ∂N_j/∂y", "third_sum",
                "K_e is asymmetric by {asymmetry:.0%} of its norm, has a kernel of {kernel:.0f} instead of 6, its "
-               "symmetric part the eigenvalue {lowest:+.1%} of the largest; a turn by 1 rad about x, y, z makes forces of "
-               "{about_x:.2g}, {about_y:.2g}, {about_z:.0e} E h²",
-               "asymmetric by {asymmetry:.0e}, kernel {kernel:.0f}, lowest eigenvalue {lowest:.0e}, "
-               "forces {about_x:.0e}, {about_y:.0e}, {about_z:.0e} E h²"),
+               "symmetric part the eigenvalue {lowest:+.1%} of the largest; turns by 1 rad about x, y, z make forces "
+               "of {about_x:.2g}, {about_y:.2g}, {about_z:.1g} E h²",
+               "asymmetric by {asymmetry:.1g}, kernel {kernel:.0f}, lowest eigenvalue {lowest:.1g}, "
+               "forces {about_x:.1g}, {about_y:.1g}, {about_z:.1g} E h²"),
     Correction("T 4.32, left factor, row 3", "(0, ∂N_i/∂z, ∂N_i/∂x)", "(0, ∂N_i/∂y, ∂N_i/∂x)", "left_factor",
                "K_e is asymmetric by {asymmetry:.0%} of its norm, its symmetric part has the eigenvalue {lowest:+.1%} "
                "of the largest; the bar of f = 20 is {travel:.3g} m from home within 100 steps",
-               "asymmetric by {asymmetry:.0e}, lowest eigenvalue {lowest:.0e}; within 100 steps at most "
+               "asymmetric by {asymmetry:.1g}, lowest eigenvalue {lowest:.1g}; within 100 steps at most "
                "{travel:.3g} m"),
     Correction("T 4.33", "prefactor E/((1+ν)(1-2ν)) once more; no volume",
                "without it; times V_e; c = G = E/(2(1+ν))"),
@@ -186,7 +187,7 @@ CORRECTIONS: tuple[Correction, ...] = (
     Correction("T 6.12-6.16", "f - K'(u + x) - f_0", "f - K'(u + x) + f_0", "rest_force",
                "at rest, without loads, the residual is {share:.6f} of -2 K x: {residual:.2g} N; step 1 moves the "
                "resting bar by {jump:.2g} m",
-               "residual {residual:.0e} N, step 1 moves it by {jump:.0e} m"),
+               "residual {residual:.1g} N, step 1 moves it by {jump:.1g} m"),
     Correction("T 7.1.2", "1.45 is “0.18 more” than at f = 20", "then that is the linear value; probably 0.28"),
     Correction("T table 7.1", "mushroom of 192 nodes", "219"),
     Correction("W", "S symmetric; λ in 2D not named; time integration is a second “2.”",

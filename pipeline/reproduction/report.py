@@ -1,5 +1,6 @@
 """The report's blocks, section by section, from scenes that have run; what has to be computed is computed here."""
 
+import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -93,9 +94,10 @@ def _opening(report: Report, scenes: Mapping[str, Scene]) -> list[Block]:
         Heading("What of the seeds is reproduced", 1),
         Paragraph(
             "The seeds are a thesis (T: linear and corotational finite elements on tetrahedra, backward Euler) and a "
-            "web page (W: corotated finite elements on triangles, symplectic Euler). Every number that they publish stands "
-            "below beside ours. **As printed** means: with the parameters that the seed states. **With factor** means: "
-            "with one of them multiplied by a number that was fitted to one published value and has no derivation."
+            "web page (W: corotated finite elements on triangles, symplectic Euler). Every number that they publish "
+            "stands below beside ours. **As printed** means: with the parameters that the seed states. **With "
+            "factor** means: with one of them multiplied by a number that was fitted to one published value "
+            "and has no derivation."
         ),
         Table(("verdict", "count"), rows, "Published numbers, statements and times"),
         Paragraph(f"Factors: {'; '.join(factors) or 'none'}."),
@@ -151,7 +153,8 @@ def _times(rows: Sequence[Sequence[str]]) -> list[Block]:
         Paragraph(
             "Times are of the machine and the program that made them. The thesis used MATLAB on hardware that it does "
             f"not name; ours ran on this machine ({platform.system()} {platform.machine()}, {_processor()}), compiled "
-            "libraries under Python, solving alone: neither measuring nor writing. A real-time factor is Δt over the "
+            "libraries under Python, solving alone: neither measuring nor writing, "
+            f"OMP_NUM_THREADS = {os.environ.get('OMP_NUM_THREADS', 'not set')}. A real-time factor is Δt over the "
             "time of a step: above 1 the motion is computed faster than it happens. The counts are the same, the "
             "meshes of mushroom and armadillo are ours."
         ),
@@ -214,7 +217,12 @@ def _figure_set(figures: FigureSet, scenes: Mapping[str, Scene], folder: Path, n
             path = folder / f"states_{name}.png"
             try:
                 states_figure({v: read_series(scene.outcomes[v].folder) for v in usable}, usable, path)
-                blocks.append(Picture(path, f"{figures.title}, {text}: the states that the thesis shows."))
+                blocks.append(
+                    Picture(
+                        path,
+                        f"{figures.title}, {text}: the states that the thesis shows; thin lines: the body at rest.",
+                    )
+                )
             except OutputError as error:
                 notes.append(f"{name}: the states are not drawn ({error})")
     return blocks
@@ -235,9 +243,9 @@ def _law(scenes: Mapping[str, Scene], folder: Path) -> list[Block]:
         Heading("The law of spurious volume"),
         Paragraph(
             "A cell without strain in the frame that its solve used ends at V/V₀ = sec² of the angle between that "
-            "frame and the rotation it reached: the linear law used none, so the angle is the cell's whole rotation; one "
-            "solve a step used the rotation before the step. On a homogeneous rotation this is exact (a test holds it "
-            "to 1e-9). In a scene real strain comes on top: hence the band."
+            "frame and the rotation it reached: the linear law used none, so the angle is the cell's whole rotation; "
+            "one solve a step used the rotation before the step. On a homogeneous rotation this is exact (a test holds "
+            "it to 1e-9). In a scene real strain comes on top: hence the band."
         ),
     ]
     kinds: tuple[tuple[str, str, Callable[[Series], Growth], float, str], ...] = (

@@ -1,19 +1,17 @@
 """What the thesis says in words, put to the test on our runs; every threshold that a word is read as stands here."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from pipeline.case import MethodSpec
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
-from pipeline.fem.laws import Corotational
 from pipeline.fem.loads import consistent_mass_pairs
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports
 from pipeline.mesh.shapes import box
-from pipeline.methods import stage_solver
+from pipeline.methods import LAWS, ROTATIONS, stage_solver
 from pipeline.reproduction.measured import Outcome, Scene
 from pipeline.reproduction.published import AS_PRINTED, THESIS_METHOD
 from pipeline.reproduction.verdicts import NOT_REPRODUCED, REPRODUCED, outcome
@@ -28,13 +26,15 @@ SIMILAR = 0.10  # “very similar”: growths that differ by less than this part
 INFINITESIMAL = 0.01  # “infinitesimal”: growth below this part of the linear one
 SMALL = 0.10  # “small”: the same
 FIRST = 10  # “the first iterations” of 100
+ROUNDING = 1e-6  # of the energy of a spin that the linear law leaves exactly as it is
 STOPPED = 0.01  # “stops”: kinetic energy below this part of its largest
 
 
 def _paired(
-    scenes: Scenes, needs: tuple[tuple[str, str], ...], holds: Callable[..., bool], text: Callable[..., str]
+    scenes: Scenes, needs: tuple[tuple[str, str], ...], holds: Callable[..., bool], text: Callable[..., str],
+    reason: str,
 ) -> Tested:  # fmt: skip
-    """Return what holds of the outcomes of (scene, variant) pairs, as printed and with the factor."""
+    """Return what holds of the outcomes of (scene, variant) pairs, as printed and with the factor, else the reason."""
     findings, kept = [], []
     for ending, how in ((AS_PRINTED, "as printed"), ("", "with factor")):
         found = [outcome(scenes, scene + ending, variant) for scene, variant in needs]
@@ -43,15 +43,15 @@ def _paired(
             kept.append((holds(*found), how))
     if not kept:
         return "not run", f"{NOT_REPRODUCED}: not run"
-    if kept[0] == (True, "as printed"):
+    if (True, "as printed") in kept:
         return "; ".join(findings), REPRODUCED
-    if kept[-1] == (True, "with factor"):
+    if (True, "with factor") in kept:
         return "; ".join(findings), f"{REPRODUCED} with factor {scenes[needs[0][0]].factor:g}"
-    return "; ".join(findings), f"{NOT_REPRODUCED}: see what was found"
+    return "; ".join(findings), f"{NOT_REPRODUCED}: {reason}"
 
 
 def _growths(*outcomes: Outcome) -> str:
-    return " and ".join(f"{one.folder.name} {one.largest_ratio - 1:.3g}" for one in outcomes)
+    return "growth " + " and ".join(f"{one.largest_ratio - 1:.3g} ({one.folder.name})" for one in outcomes)
 
 
 def _both(scene: str) -> tuple[tuple[str, str], ...]:
@@ -64,18 +64,20 @@ def _smaller(part: float) -> Callable[[Outcome, Outcome], bool]:
 
 def small_bar_alike(scenes: Scenes) -> Tested:
     """Return whether the largest growths of f = 20 differ by less than 10 %."""
-    return _paired(scenes, _both("bar_small"), lambda a, b: not _smaller(1 - SIMILAR)(a, b), _growths)
+    return _paired(scenes, _both("bar_small"), lambda a, b: not _smaller(1 - SIMILAR)(a, b), _growths,
+                   f"they differ by more than {SIMILAR:.0%}")  # fmt: skip
 
 
 def bar_grows_less(scenes: Scenes) -> Tested:
     """Return whether the linear bar grows more."""
-    return _paired(scenes, _both("bar"), _smaller(1.0), _growths)
+    return _paired(scenes, _both("bar"), _smaller(1.0), _growths, "it does not")
 
 
 def same_cell(scenes: Scenes) -> Tested:
     """Return whether the largest growth of both methods is in one cell."""
     return _paired(
-        scenes, _both("bar"), lambda a, b: a.cell == b.cell, lambda a, b: f"cells {a.cell} and {b.cell}"
+        scenes, _both("bar"), lambda a, b: a.cell == b.cell, lambda a, b: f"cells {a.cell} and {b.cell}",
+        "other cells (the thesis does not say how it splits the bar)",
     )  # fmt: skip
 
 
@@ -88,13 +90,15 @@ def free_end(scenes: Scenes) -> Tested:
 
     text = "the cell lies at y ≤ {:g} of 0…12 m"
     # 1.5 m is one layer of cells
-    return _paired(scenes, (("bar", "linear"),), lambda a: farthest(a) <= 1.5, lambda a: text.format(farthest(a)))
+    return _paired(scenes, (("bar", "linear"),), lambda a: farthest(a) <= 1.5,
+                   lambda a: text.format(farthest(a)), "the cell that grows most is not in the last layer")  # fmt: skip
 
 
 def first_iterations(scenes: Scenes) -> Tested:
     """Return whether the largest growth falls in the first ten iterations."""
     return _paired(
-        scenes, (("bar", "linear"),), lambda a: a.iteration <= FIRST, lambda a: f"iteration {a.iteration}"
+        scenes, (("bar", "linear"),), lambda a: a.iteration <= FIRST, lambda a: f"iteration {a.iteration}",
+        f"later than iteration {FIRST}",
     )  # fmt: skip
 
 
@@ -102,49 +106,58 @@ def bar_stops(scenes: Scenes) -> Tested:
     """Return whether the bar's kinetic energy falls below 1 % of its largest within the run."""
     found, verdict = _paired(
         scenes, (("bar_small", "linear"),), lambda a: a.kinetic_kept < STOPPED,
-        lambda a: f"{a.kinetic_kept:.1e} of the kinetic energy is left",
+        lambda a: f"{a.kinetic_kept:.1e} of the kinetic energy is left", "it still moves",
     )  # fmt: skip
     return f"{found}. It is the integrator that damps, see Damping: the material has no viscosity", verdict
 
 
 def mushroom_infinitesimal(scenes: Scenes) -> Tested:
     """Return whether the corotational growth is below 1 % of the linear one."""
-    return _paired(scenes, _both("mushroom"), _smaller(INFINITESIMAL), _growths)
+    return _paired(scenes, _both("mushroom"), _smaller(INFINITESIMAL), _growths,
+                   f"smaller, but above {INFINITESIMAL:.0%} of the linear growth")  # fmt: skip
 
 
 def armadillo_small(scenes: Scenes) -> Tested:
     """Return whether the corotational growth is below 10 % of the linear one."""
-    return _paired(scenes, _both("armadillo"), _smaller(SMALL), _growths)
+    return _paired(scenes, _both("armadillo"), _smaller(SMALL), _growths,
+                   f"above {SMALL:.0%} of the linear growth")  # fmt: skip
 
 
 def unconditionally_stable(scenes: Scenes) -> Tested:
-    """Return what one solve a step makes of a free 2 x 24 x 4 m bar in spin, 10 rad/s about x, y and z, dt = .5 s."""
-    grown = {name: spin_energy_growth(axis) for name, axis in zip("xyz", np.eye(3), strict=True)}
-    found = ", ".join(f"{value:.1e} about {name}" for name, value in grown.items())
-    text = f"one polar solve a step: a free bar spun at 10 rad/s with Δt = 0.5 s ends with kinetic energy × {found}"
-    if max(grown.values()) > 1:
-        return text, f"{NOT_REPRODUCED}: it holds for the linear law and for converged steps only"
-    return text, REPRODUCED
+    """Return what 100 steps of .5 s make of a free 2 x 24 x 4 m bar in spin, 10 rad/s about x, y and z."""
+    methods = {
+        "one polar solve a step": MethodSpec(),
+        "linear": MethodSpec(law="linear"),
+        "converged": MethodSpec(iterations="converged"),
+    }
+    grown = {
+        name: {axis: spin_energy_growth(direction, method) for axis, direction in zip("xyz", np.eye(3), strict=True)}
+        for name, method in methods.items()
+    }
+    worst = {name: max((energy, axis) for axis, energy in of.items()) for name, of in grown.items()}
+    found = "; ".join(f"{name} × {energy:.2g} about {axis}" for name, (energy, axis) in worst.items())
+    text = f"kinetic energy of a free bar spun at 10 rad/s, Δt = 0.5 s, after 100 steps, about its worst axis: {found}"
+    unstable = [name for name, (energy, _) in worst.items() if energy > 1 + ROUNDING]
+    return text, f"{NOT_REPRODUCED}: not for {' and '.join(unstable)}" if unstable else REPRODUCED
 
 
-def spin_energy_growth(axis: np.ndarray, steps: int = 100) -> float:
-    """Return the largest kinetic energy within the steps over that at the start, by one polar solve a step."""
+def spin_energy_growth(axis: np.ndarray, method: MethodSpec, steps: int = 100) -> float:
+    """Return the kinetic energy after the steps over that at the start; infinity where a step fails."""
     mesh = box((2.0, 24.0, 4.0), (2, 8, 2))
-    law = Corotational(Material(1e8, 0.33, 1000.0))
+    law = LAWS[method.law](Material(1e8, 0.33, 1000.0), ROTATIONS[method.rotation])
     body = Body(mesh, law, Supports(np.zeros(0, np.int64)), np.zeros_like(mesh.points), consistent_mass_pairs)
     dt = 0.5
     # without the energy guard, which would stop it
-    stepper = BackwardEuler(body, dt, stage_solver(body, dt, MethodSpec()))
+    stepper = BackwardEuler(body, dt, stage_solver(body, dt, method))
     v = 10.0 * np.cross(axis, mesh.points - mesh.points.mean(axis=0))
     state = State(0, mesh.points.copy(), v)
-    energies = [float((v * body.momentum(v)).sum())]
     try:
         for _ in range(steps):
-            state, _ = stepper.step(replace(state))
-            energies.append(float((state.v * body.momentum(state.v)).sum()))
+            state, _ = stepper.step(state)
     except SolveError:  # a matrix that can no longer be factored
         return float("inf")
-    return energies[-1] / energies[0]
+    end = float((state.v * body.momentum(state.v)).sum())
+    return end / float((v * body.momentum(v)).sum())
 
 
 def _real_time(scenes: Scenes, variant: str, expected: bool) -> Tested:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from pipeline.reproduction.measured import Outcome, Scene
-from pipeline.reproduction.published import AS_PRINTED, Number
+from pipeline.reproduction.published import AS_PRINTED, COUNTED, Number
 
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
 
@@ -20,19 +20,22 @@ class Finding:
 
 
 def judge(number: Number, as_printed: float | None, calibrated: float | None, factor: float) -> str:
-    """Return the verdict; as printed comes first, and what is neither carries the deviations and the remark."""
+    """Return the verdict, with the remark: as printed comes first, and what is neither carries its deviations."""
     remark = f" ({number.remark})" if number.remark else ""
     if as_printed is not None and abs(as_printed - number.value) <= number.tolerance:
-        return REPRODUCED
+        return f"{REPRODUCED}{remark}"
     if calibrated is not None and abs(calibrated - number.value) <= number.tolerance:
         return f"{REPRODUCED} with factor {factor:g}{remark}"
     found = [(as_printed, "as printed"), (calibrated, f"with factor {factor:g}")]
-    parts = [f"{_deviation(value, number.value)} {how}" for value, how in found if value is not None]
+    parts = [f"{_deviation(value, number)} {how}" for value, how in found if value is not None]
     return f"{NOT_REPRODUCED}: {', '.join(parts) or 'not run'}{remark}"
 
 
-def _deviation(value: float, published: float) -> str:
-    return f"{100 * (value / published - 1):+.1f} %"
+def _deviation(value: float, number: Number) -> str:
+    """Return how far off a value is: in per cent of a volume, as it is for a count or an iteration."""
+    if number.quantity in COUNTED:
+        return f"{value:.0f}"
+    return f"{100 * (value / number.value - 1):+.1f} %"
 
 
 def find(number: Number, scenes: Mapping[str, Scene]) -> Finding:

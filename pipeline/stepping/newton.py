@@ -7,7 +7,8 @@ Its minimum is the stage's solution. From x_n every accepted iterate lowers phi,
 backward Euler is bounded by the energy before it. From the predictor y it takes 3 to 4 iterations where it converges,
 so that is tried first and kept only if it ends no higher than phi(x_n).
 
-tangent = "projected" always descends; "exact" converges quadratically but may not descend in compression;
+tangent = "projected" always descends, and near the end, where it would converge linearly in compression, gives way to
+the exact one; "exact" converges quadratically but may not descend in compression;
 "frozen" (K' of the thesis) converges linearly. The last two are there to be studied.
 """
 
@@ -23,7 +24,8 @@ from pipeline.stepping.implicit import Stage, StageSystem
 from pipeline.stepping.linear_solve import LinearSolver
 from pipeline.stepping.state import Work
 
-_PREDICTOR_ITERATIONS = 15  # where the predictor is good it needs 3 to 6
+_PREDICTOR_ITERATIONS = 30  # where the predictor is good it needs 3 to 6, in fast spin about a generic axis 16 to 30
+_NEAR = 1e-2  # of the forces: from here the exact tangent is tried
 _SUFFICIENT = 1e-4  # Armijo: the part of the predicted decrease that a step must bring
 _SHORTEST = 2.0**-30  # a shorter step is lost in the rounding of phi
 # forces cancel to rounding, about 1e-16 of the stiffest cell's force per unit strain, summed over some cells
@@ -93,16 +95,13 @@ class Converged:
         """Return where at most `limit` iterations from x lead."""
         phi, work = self.potential(x, stage), Work()
         for iteration in range(limit + 1):
-            f, K = self.body.linearise(x, kind=self.limits.tangent)
-            r, relative = self._residual(x, f, stage)
+            r, relative = self._residual(x, self.body.force(x), stage)
             if relative <= self.limits.tolerance or iteration == limit or not np.isfinite(relative):
                 break
-            dx, solved = self._direction(r, K, stage)
+            dx, solved = self._direction(x, r, relative, stage)
             x, phi, moved = self._search(x, dx, phi, -float((r * dx).sum()), stage)
             work += solved + Work(iterations=1, rotations=1)
             if not moved:
-                f = self.body.force(x)
-                r, relative = self._residual(x, f, stage)
                 break
         return _Descent(x, phi, relative, relative <= self.limits.tolerance, work)
 
@@ -121,8 +120,23 @@ class Converged:
         floor = _ROUNDING / self.limits.tolerance * self._stiff * np.sqrt(x.size)
         return r, float(np.linalg.norm(r) / max(size, floor))
 
-    def _direction(self, r: Floats, K: Floats, stage: Stage) -> tuple[Floats, Work]:
-        """Return the Newton step dx (n, d): (M/h^2 + K) dx = r on the free nodes."""
+    def _direction(self, x: Floats, r: Floats, relative: float, stage: Stage) -> tuple[Floats, Work]:
+        """Return the Newton step dx (n, d), by the exact tangent near the end where that is positive definite."""
+        kind = self.limits.tangent
+        if kind == "projected" and relative < _NEAR:
+            try:
+                dx, work = self._solved(x, r, "exact", stage)
+            except SolveError:  # a Cholesky factor says so; others give a direction that does not descend
+                dx, work = np.zeros_like(r), Work(factorisations=1)
+            if (r * dx).sum() > 0:
+                return dx, work
+            dx, again = self._solved(x, r, kind, stage)
+            return dx, work + again
+        return self._solved(x, r, kind, stage)
+
+    def _solved(self, x: Floats, r: Floats, kind: Tangent, stage: Stage) -> tuple[Floats, Work]:
+        """Return dx (n, d) with (M/h^2 + K) dx = r on the free nodes."""
+        _, K = self.body.linearise(x, kind=kind)
         work = self.system.update(K, stage.h)
         dx = np.zeros_like(r)
         free = self.body.free

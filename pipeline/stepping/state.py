@@ -27,6 +27,7 @@ class State:
 class Work:
     """What was done: counts that machines share, and the seconds that they do not.
 
+    `rung` and `indicator` say which model the most demanding step needed, and its spurious volume (fidelity.py).
     `iterations` counts the linear systems' right-hand sides posed (Newton iterations); `solves` the
     systems solved for them; `seconds` is solving alone, without measuring or writing.
     """
@@ -37,9 +38,13 @@ class Work:
     factorisations: int = 0
     rotations: int = 0
     seconds: float = 0.0
+    rung: int = 0
+    indicator: float = 0.0
 
     def __add__(self, other: "Work") -> "Work":
-        return Work(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+        added = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}
+        largest = {name: max(getattr(self, name), getattr(other, name)) for name in ("rung", "indicator")}
+        return Work(**{**added, **largest})
 
 
 class Stepper(Protocol):
