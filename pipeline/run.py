@@ -14,7 +14,6 @@ from pipeline.measures import measure, spatial
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping.state import State, Stepper, Work
 
-
 # [m, m/s]: volumes and energies of what is larger would overflow
 _BEYOND = 1e75
 

@@ -220,7 +220,7 @@ def _figure_set(figures: FigureSet, scenes: Mapping[str, Scene], folder: Path, n
                 blocks.append(
                     Picture(
                         path,
-                        f"{figures.title}, {text}: the states that the thesis shows; thin lines: the body at rest.",
+                        f"{figures.title}, {text}. {figures.states_are} Thin lines: the body at rest.",
                     )
                 )
             except OutputError as error:
@@ -305,7 +305,7 @@ def _corrections(bar: Problem) -> list[Block]:
     return [
         Heading("Corrections to the seeds"),
         Paragraph(
-            "The program follows the right-hand formulas. Where numbers stand, the printed formula was run just now on "
+            "The program follows the formulas under “correct”. Where numbers stand, the printed formula was run just now on "
             "the thesis' bar of f = 20, as printed, next to the corrected one."
         ),
         Table(("where", "printed", "correct", "the printed one, run", "the corrected one, run"), rows),

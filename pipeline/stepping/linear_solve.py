@@ -19,7 +19,6 @@ from pipeline.fem.assembly import BlockPattern
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping.state import Work
 
-
 # a factor beyond this costs more to make and to read than many iterations
 _BAND_MEGABYTES = 1000.0
 

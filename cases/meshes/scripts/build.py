@@ -1,4 +1,4 @@
-"""Makes cases/meshes/*.vtu: `python -m cases.meshes.scripts.build [FOLDER]`, half a minute; FOLDER is cases/meshes.
+"""Makes cases/meshes/*.vtu: `python -m cases.meshes.scripts.build [FOLDER]`, 20 s; FOLDER is cases/meshes.
 
 The meshes are committed. Other versions of numpy and scipy may round differently, and the steps from there to a mesh
 are decisions, so that a rebuild may give another mesh of the same counts: build into another folder and look first.

@@ -6,7 +6,7 @@ A move costs the change of sum q^-2, and on the surface what it moves away from 
 """
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -76,8 +76,8 @@ class Move:
     """Cells to take out (by number) and to put in, the price and what proposed it."""
 
     cost: float
-    old: list[int]
-    new: list[Tet]
+    old: Sequence[int]
+    new: Sequence[Tet]
     kind: str
     where: Key
 

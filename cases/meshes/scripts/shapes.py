@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -121,20 +122,9 @@ class Part:
         d = (b - a) / np.linalg.norm(b - a)
         return a - self.start_radius * d if back else b + self.end_radius * d
 
-    def distance_and_radius(self, p: Floats) -> tuple[Floats, Floats]:
-        """Return the signed distance (n,) and the part's own radius there (n,)."""
-        x, y, z = (p[:, i] - self.start[i] for i in range(3))
-        if self.radii is not None:
-            rx, ry, rz = self.radii
-            k0 = ((x / rx) ** 2 + (y / ry) ** 2 + (z / rz) ** 2) ** 0.5
-            k1 = ((x / rx**2) ** 2 + (y / ry**2) ** 2 + (z / rz**2) ** 2) ** 0.5
-            value = np.where(k1 > 1e-9, k0 * (k0 - 1) / np.maximum(k1, 1e-9), -min(self.radii))
-            return value, np.full(len(p), self.start_radius)
-        bx, by, bz = (self.end[i] - self.start[i] for i in range(3))
-        u = (x * bx + y * by + z * bz) / (bx * bx + by * by + bz * bz)
-        u = np.minimum(np.maximum(u, 0.0), 1.0)
-        radius = self.start_radius + (self.end_radius - self.start_radius) * u
-        return ((x - u * bx) ** 2 + (y - u * by) ** 2 + (z - u * bz) ** 2) ** 0.5 - radius, radius
+    def row(self) -> list[float]:
+        """Return the part as `_blended` reads it; an ellipsoid has no end, and its radii in that place."""
+        return [*self.start, *(self.radii or self.end), self.start_radius, self.end_radius, self.blend]
 
 
 def _limbs(x: int) -> list[Part]:
@@ -177,13 +167,37 @@ def armadillo() -> Shape:
     )
 
 
+_TABLE = np.array([part.row() for part in _PARTS])
+_IS_ELLIPSOID = np.array([part.radii is not None for part in _PARTS])
+
+
 def _armadillo(p: Floats) -> tuple[Floats, Floats]:
     """Return the distance and the radius of the part that is nearest."""
-    distance, radius = _PARTS[0].distance_and_radius(p)
-    nearest = distance
-    for part in _PARTS[1:]:
-        value, own = part.distance_and_radius(p)
-        radius = np.where(value < nearest, own, radius)
-        nearest = np.minimum(value, nearest)
-        distance = _union(distance, value, part.blend)
+    return _blended(np.ascontiguousarray(p), _TABLE, _IS_ELLIPSOID)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _blended(points: Floats, table: Floats, is_ellipsoid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Return what `_armadillo` does; compiled, since it is asked for two points at a time very often."""
+    distance, radius = np.zeros(len(points)), np.zeros(len(points))
+    for n in range(len(points)):
+        nearest = np.inf
+        for i in range(len(table)):
+            x, y, z = points[n, 0] - table[i, 0], points[n, 1] - table[i, 1], points[n, 2] - table[i, 2]
+            a, b, c = table[i, 3], table[i, 4], table[i, 5]
+            own = table[i, 6]
+            if is_ellipsoid[i]:
+                k0 = ((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2) ** 0.5
+                k1 = ((x / a**2) ** 2 + (y / b**2) ** 2 + (z / c**2) ** 2) ** 0.5
+                value = k0 * (k0 - 1) / k1 if k1 > 1e-9 else -min(a, b, c)
+            else:
+                a, b, c = a - table[i, 0], b - table[i, 1], c - table[i, 2]
+                u = min(max((x * a + y * b + z * c) / (a * a + b * b + c * c), 0.0), 1.0)
+                own += (table[i, 7] - table[i, 6]) * u
+                value = ((x - u * a) ** 2 + (y - u * b) ** 2 + (z - u * c) ** 2) ** 0.5 - own
+            if value < nearest:
+                nearest, radius[n] = value, own
+            k = table[i, 8]
+            h = min(max(0.5 + 0.5 * (value - distance[n]) / k, 0.0), 1.0) if i else 0.0
+            distance[n] = value * (1 - h) + distance[n] * h - k * h * (1 - h)  # as _union
     return distance, radius

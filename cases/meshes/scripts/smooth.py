@@ -37,8 +37,10 @@ def smoothed(shape: Shape, points: Floats, cells: Ints, *, iterations: int, fit:
     """Return the points after L-BFGS, or as they were where that made the worst cell worse; fit holds the surface."""
     before = cell_quality(points, cells).min()
     objective = _Objective(shape, points, cells, fit, soft=0.0 if before > _SOFT else _SOFT)
-    options = {"maxiter": iterations, "maxcor": 20}
-    found = minimize(objective, points.ravel(), jac=True, method="L-BFGS-B", options=options).x.reshape(-1, 3)
+    result = minimize(
+        objective, points.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": iterations, "maxcor": 20}
+    )
+    found = np.asarray(result.x, dtype=np.float64).reshape(-1, 3)
     return found if cell_quality(found, cells).min() >= min(1e-4, before) else points
 
 
