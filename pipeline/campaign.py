@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from threadpoolctl import threadpool_limits
+
 from pipeline.build import Problem, build, settled
 from pipeline.case import Case, load_case
 from pipeline.errors import CaseError, OutputError, SolveError
@@ -147,7 +149,9 @@ def _solve(case: Case, problem: Problem, folder: Path, notify: Notify | None) ->
     sinks: list[Sink] = [VtuSink(folder), NetcdfSink(folder / "statistics.nc", title=f"{case.name}: {name}")]
     status: Status = "finished"
     try:
-        record(frames(problem), sinks, on_frame=on_frame)
+        # small dense factors gain nothing from BLAS threads, and stall where cores are shared
+        with threadpool_limits(limits=1, user_api="blas"):
+            record(frames(problem), sinks, on_frame=on_frame)
     except SolveError as error:
         status = "failed"
         run["message"] = str(error)

@@ -6,7 +6,7 @@ Measured: a few steps from the mode itself; its amplitudes q_n obey q_{n+2} = a 
 factors G of one step, and zeta = -ln|G| / sqrt(ln^2|G| + arg^2 G).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,8 +38,6 @@ def mode_damping(problem: Problem, count: int = 6) -> list[Mode]:
 
 def _measured(problem: Problem, shape: np.ndarray) -> float:
     """Return the damping ratio of four steps that start displaced along a mode."""
-    from dataclasses import replace
-
     body = replace(problem.body, load=np.zeros_like(problem.body.load))
     stepper = STEPPERS[problem.method.stepper](body, problem.dt, problem.method)
     X = body.mesh.points

@@ -305,8 +305,8 @@ def _corrections(bar: Problem) -> list[Block]:
     return [
         Heading("Corrections to the seeds"),
         Paragraph(
-            "The program follows the formulas under “correct”. Where numbers stand, the printed formula was run just now on "
-            "the thesis' bar of f = 20, as printed, next to the corrected one."
+            "The program follows the formulas under “correct”. Where numbers stand, the printed formula was run just "
+            "now on the thesis' bar of f = 20, as printed, next to the corrected one."
         ),
         Table(("where", "printed", "correct", "the printed one, run", "the corrected one, run"), rows),
     ]
