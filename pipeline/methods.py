@@ -15,15 +15,17 @@ from pipeline.fem.rotation import gram_schmidt, polar
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Floats, Mesh
 from pipeline.stepping.backward_euler import BackwardEuler
+from pipeline.stepping.banded import BandedCholesky
 from pipeline.stepping.bdf2 import BDF2
 from pipeline.stepping.fidelity import Auto
 from pipeline.stepping.guard import Guarded
 from pipeline.stepping.implicit import FrozenPasses, Prefactored, StageSolver
 from pipeline.stepping.inversion import Crossing, Last, Treatment
-from pipeline.stepping.linear_solve import BandedCholesky, BlockJacobiCG, LinearSolver, SuperLU, automatic
+from pipeline.stepping.linear_solve import BlockJacobiCG, LinearSolver, SuperLU, automatic
 from pipeline.stepping.newton import Converged, NewtonLimits
 from pipeline.stepping.state import Stepper
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
+from pipeline.stepping.warped import WarpedCG
 
 Rotation = Callable[[Floats], Floats]
 
@@ -40,6 +42,7 @@ LINEAR_SOLVERS: Mapping[str, Callable[..., LinearSolver]] = {
     "auto": automatic,
     "banded": BandedCholesky,
     "superlu": SuperLU,
+    "warped": WarpedCG,
     "cg": BlockJacobiCG,
 }
 SHAPES: Mapping[str, Callable[[Sequence[float], Sequence[int], str], Mesh]] = {"box": box, "rectangle": rectangle}
@@ -75,15 +78,22 @@ STEP_LIMITS: Mapping[str, tuple[Callable[[Body], float], Callable[[Body], float]
 def stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     """Return what solves the implicit stages of size h [s]: as far as the method's law and iterations ask."""
     pattern, _ = body.free_pattern
-    solver = LINEAR_SOLVERS[method.linear_solver](pattern, method.linear_rtol)
+    made = LINEAR_SOLVERS[method.linear_solver]
     if body.law.constant_tangent:
-        return Prefactored(body, solver, h)
+        return Prefactored(body, made(pattern, method.linear_rtol, None), h)
     if method.model == "auto":
         return _auto(body, h, method)
+    solver = made(pattern, method.linear_rtol, _rest_system(body, h))
     if isinstance(method.iterations, int):
         return FrozenPasses(body, solver, method.iterations)
     limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
     return Converged(body, solver, limits)
+
+
+def _rest_system(body: Body, h: float) -> Callable[[], Floats]:
+    """Return what gives the values of M + h^2 K at rest on the free nodes, when asked."""
+    _, free_blocks = body.free_pattern
+    return lambda: (body.mass + h**2 * body.linearise(body.mesh.points)[1])[free_blocks]
 
 
 def _auto(body: Body, h: float, method: MethodSpec) -> StageSolver:
@@ -92,10 +102,10 @@ def _auto(body: Body, h: float, method: MethodSpec) -> StageSolver:
     made = LINEAR_SOLVERS[method.linear_solver]
     limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
     linear = Body(body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs)
-    changing = made(pattern, method.linear_rtol)
+    changing = made(pattern, method.linear_rtol, _rest_system(body, h))
     return Auto(
         body,
-        Prefactored(linear, made(pattern, method.linear_rtol), h),
+        Prefactored(linear, made(pattern, method.linear_rtol, None), h),
         FrozenPasses(body, changing, 1),
         Converged(body, changing, limits),
         method.volume_tolerance,
@@ -146,7 +156,8 @@ DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
         "crossing": "inverted cells: the direction that collapsed is negative; for one solve",
     },
     "method.linear_solver": {
-        "auto": "by size: banded while its band takes less than 1 GB, else cg",
+        "auto": "by size: banded for small meshes, else warped; for the linear law banded, else superlu",
+        "warped": "conjugate gradients with the rest state's factor turned along, to method.linear_rtol; larger meshes",
         "banded": "Cholesky of the band, factors every new matrix; fastest on small meshes",
         "superlu": "sparse direct, factors every new matrix",
         "cg": "conjugate gradients with block Jacobi to method.linear_rtol: for small steps",

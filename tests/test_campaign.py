@@ -333,7 +333,7 @@ def test_nothing_is_written_for_a_case_that_cannot_be_built(tmp_path, sections):
 def test_an_output_folder_that_is_a_file_is_an_output_error(tmp_path):
     (tmp_path / "file").write_text("in the way")
     for force in (False, True):
-        with pytest.raises(OutputError, match="Not a directory|is a file, not a folder") as caught:
+        with pytest.raises(OutputError, match=r"Not a directory|is a file, not a folder") as caught:
             run_campaign(load_case(write_case(tmp_path)), tmp_path / "file", movie=False, force=force)
         assert str(caught.value).startswith(f"{tmp_path / 'file' / 'beam'}")
 

@@ -36,6 +36,7 @@ def test_forces_stiffness_and_energy_are_those_of_the_plain_body(bodies: tuple[B
         g, L = compiled.linearise(x, given)
         np.testing.assert_allclose(g, f, atol=1e-11 * f_scale)
         np.testing.assert_allclose(L, K, atol=1e-10 * K_scale)
+    np.testing.assert_allclose(compiled.nodal_rotations(x), plain.nodal_rotations(x), atol=1e-9)
     np.testing.assert_allclose(compiled.force(x), f, atol=1e-11 * f_scale)
     np.testing.assert_allclose(compiled.linearise(x, kind="projected")[1], plain.linearise(x, kind="projected")[1])
 

@@ -7,10 +7,11 @@ from functools import cached_property
 import numpy as np
 
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
-from pipeline.fem.element import deformation_gradient, nodal_forces, stiffness_blocks
+from pipeline.fem.element import deformation_gradient, nodal_forces, nodal_sums, stiffness_blocks
 from pipeline.fem.laws import Law, Tangent
 from pipeline.fem.loads import lumped_mass_pairs
 from pipeline.fem.material import Material
+from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
 from pipeline.mesh.simplex import Floats, Ints, Mesh
 
@@ -77,6 +78,13 @@ class Body:
     def rotations(self, x: Floats) -> Floats:
         """Return the law's frame of every cell (e, d, d) at positions x (n, d)."""
         return self.law.rotations(deformation_gradient(self.mesh, x))
+
+    def nodal_rotations(self, x: Floats) -> Floats:
+        """Return how the cells about each node have turned (n, d, d): the polar rotation of their mean gradient."""
+        V, F = self.mesh.rest_volumes, deformation_gradient(self.mesh, x)
+        e, d = F.shape[:2]
+        share = np.broadcast_to((V[:, None] * F.reshape(e, d * d))[:, None], (e, d + 1, d * d))
+        return polar(nodal_sums(self.mesh, share).reshape(-1, d, d))
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, d)."""

@@ -42,6 +42,15 @@ class CompiledBody(Body):
 
         return float(kernels.energy(_plain(x), *self._cells))
 
+    def nodal_rotations(self, x: Floats) -> Floats:
+        """Return the polar rotation of each node's mean gradient (n, 3, 3)."""
+        from pipeline.fem import kernels
+
+        n = len(x)
+        sums, R = np.empty((n, 3, 3)), np.empty((n, 3, 3))
+        kernels.nodal_rotations(_plain(x), *self._cells[:3], sums, R)
+        return R
+
     def force(self, x: Floats, R: Floats | None = None) -> Floats:
         """Return the elastic forces ON the nodes (n, 3) [N]; with given rotations the plain way."""
         if R is not None:

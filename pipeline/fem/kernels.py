@@ -249,3 +249,19 @@ def linearise(x, cells, G, V, mu, lam, pairs, given, R, f, K):
         _rotated_stress(F, R[e], mu, lam, T)
         _scatter_force(cells[e], G[e], V[e], R[e], T, f)
         _scatter_stiffness(G[e], V[e], R[e], mu, lam, pairs[e], K)
+
+
+@njit(cache=True, error_model="numpy")
+def nodal_rotations(x, cells, G, V, sums, R):
+    """Write into R (n, 3, 3) the polar rotation of each node's sum of V F, held in sums (n, 3, 3)."""
+    sums[:] = 0.0
+    F = np.empty((3, 3))
+    for e in range(len(cells)):
+        _gradient(x, cells[e], G[e], F)
+        for a in range(4):
+            node = sums[cells[e, a]]
+            for i in range(3):
+                for j in range(3):
+                    node[i, j] += V[e] * F[i, j]
+    for n in range(len(sums)):
+        polar_rotation(sums[n], R[n])

@@ -56,10 +56,11 @@ class StageSystem:
         self.solver = solver
         self._free_blocks = body.free_pattern[1]
 
-    def update(self, K: Floats, h: float) -> Work:
-        """Take M + h^2 K for the solves to come."""
+    def update(self, K: Floats, h: float, x: Floats) -> Work:
+        """Take M + h^2 K, made at positions x (n, d), for the solves to come."""
         self._values = self.body.mass + h**2 * K
-        return self.solver.update(self._values[self._free_blocks])
+        body = self.body
+        return self.solver.update(self._values[self._free_blocks], lambda: body.nodal_rotations(x)[body.free])
 
     def solve(self, b: Floats, stage: Stage) -> tuple[Floats, Work]:
         """Return v (n, d) with the held nodes' velocities as the stage gives them."""
@@ -82,7 +83,7 @@ class Prefactored:
         self.body = body
         self.system = StageSystem(body, solver)
         _, self.K = body.linearise(body.mesh.points)
-        self.setup = self.system.update(self.K, h)
+        self.setup = self.system.update(self.K, h, body.mesh.points)
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v of the one linear system; the linearisation at x_h is exact."""
@@ -119,6 +120,6 @@ class FrozenPasses:
         b = body.momentum(stage.v_h) + h * (body.load + f)
         if x is not stage.x_h:
             b -= h * body.pattern.product(K, stage.x_h - x)
-        work = self.system.update(K, h)
+        work = self.system.update(K, h, x)
         v, solved = self.system.solve(b, stage)
         return v, work + solved + Work(iterations=1, rotations=1)
