@@ -6,7 +6,7 @@ OPENGL_PACKAGES := libegl1 libgl1-mesa-dri
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run report test quick lint clean
+.PHONY: help setup run report bench test quick lint clean
 
 help: ## Show this list
 	@echo "usage: make TARGET [PYTHON=python3.12] [WORKERS=4]"
@@ -29,6 +29,9 @@ run: setup ## Run the example: cases/bar.toml -> outputs/bar (solved anew each t
 
 report: setup ## All scenes of the seeds from nothing -> outputs/reproduction.html and .md: what of them holds
 	OMP_NUM_THREADS=1 $(BIN)/pipeline reproduce --force
+
+bench: setup ## What a step costs beside plain scipy, in one run; minutes
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.steps --large
 
 test: setup lint ## Everything that CI runs: lint, then all tests
 	$(PYTEST)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
 from pipeline.fem.element import deformation_gradient, nodal_forces, nodal_sums, stiffness_blocks
@@ -65,6 +66,12 @@ class Body:
         return pairs[:, None, None] * np.eye(self.mesh.dimension)
 
     @cached_property
+    def _nodal_mass(self) -> csr_array:
+        """Return the mass matrix without its d-fold repetition (n, n) [kg]."""
+        n = self.pattern.nodes
+        return csr_array((self.mass[:, 0, 0].copy(), self.pattern.indices, self.pattern.indptr), shape=(n, n))
+
+    @cached_property
     def lumped_mass(self) -> Floats:
         """Return the row sums of the mass matrix (n,) [kg]."""
         return self.material.density * self.mesh.node_volumes
@@ -73,7 +80,7 @@ class Body:
         """Return M v (n, d) [kg m/s]; lumped masses need no matrix."""
         if self.mass_pairs is lumped_mass_pairs:
             return self.lumped_mass[:, None] * v
-        return self.pattern.product(self.mass, v)
+        return np.asarray(self._nodal_mass @ v)
 
     def rotations(self, x: Floats) -> Floats:
         """Return the law's frame of every cell (e, d, d) at positions x (n, d)."""
