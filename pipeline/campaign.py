@@ -5,6 +5,7 @@ import os
 import platform
 import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -15,16 +16,31 @@ from pipeline.build import Problem, build, settled
 from pipeline.case import Case, load_case
 from pipeline.errors import CaseError, OutputError, SolveError
 from pipeline.frame import Frame, Sink, Values
+from pipeline.record_keeping import (
+    CHECKPOINTS,
+    Interrupted,
+    Interruption,
+    continuation,
+    folder_lock,
+    frame_times,
+    interruptible,
+    mesh_digest,
+    next_frame,
+)
 from pipeline.run import RunSummary, frames, record
 from pipeline.series import read_series
 from pipeline.sinks.atomic import write_whole
+from pipeline.sinks.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.vtu import VtuSink
 from pipeline.statistics import joined, read_statistics, write_dataset
+from pipeline.stepping.state import State, Work
 from pipeline.version import VERSION
 
 Status = Literal["finished", "failed", "up to date"]
 Notify = Callable[[str, Problem, Frame, Values, RunSummary], None]
+# of a run that could go on: killed, asked to stop, or stopped by what it could not write
+_UNFINISHED = ("running", "interrupted")
 _PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
 
 
@@ -59,28 +75,39 @@ def run_campaign(
     *,
     variants: Sequence[str] = (),
     force: bool = False,
+    resume: bool = False,
     movie: bool = True,
     notify: Notify | None = None,
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> CampaignResult:
     """Solve the variants asked for (default: all) into out/<case name>/ and compare every finished one.
 
-    Raises CaseError before anything is solved where a variant cannot be built, or where a folder holds another case's
-    result or an unfinished one and force is not given; OutputError where files cannot be written.
+    `resume` goes on with an unfinished result where it stopped. Raises CaseError before anything is solved where a
+    variant cannot be built, where a folder holds another case's result or an unfinished one and neither force nor
+    resume is given, or where another run writes there; OutputError where files cannot be written; Interrupted after
+    the step at which SIGINT or SIGTERM came.
     """
     resolved = {name: settled(case.variant(name)) for name in variants or case.variant_names}
     folder = Path(out) / case.name
     problems = {name: build(one) for name, one in resolved.items()}
-    todo = [name for name, one in resolved.items() if _must_solve(one, folder / name, force=force)]
-    write_whole(folder / "case.toml", case.to_toml(folder))
-    results = []
-    for name, one in resolved.items():
-        if name in todo:
-            results.append(_solve(one, problems[name], folder / name, notify))
-        else:
-            results.append(VariantResult(name, folder / name, "up to date", read_run(folder / name)))
-    notes = [note for name in resolved for note in problems[name].notes]
-    made, more = compare(case, folder, movie=movie, on_drawing=on_drawing, fresh=bool(todo))
+    with folder_lock(folder), interruptible() as asked:
+        todo = [
+            name
+            for name, one in resolved.items()
+            if _must_solve(one, problems[name], folder / name, force=force, resume=resume)
+        ]
+        write_whole(folder / "case.toml", case.to_toml(folder))
+        results = []
+        for name, one in resolved.items():
+            if name in todo:
+                solving = _Solving(one, problems[name], folder / name, asked, notify)
+                results.append(solving.result(resume=resume and not force))
+            else:
+                results.append(VariantResult(name, folder / name, "up to date", read_run(folder / name)))
+            if asked.requested:
+                raise Interrupted(f"interrupted after {name}; the same command with --resume goes on from there")
+        notes = [note for one in results for note in one.run.get("notes", ())]
+        made, more = compare(case, folder, movie=movie, on_drawing=on_drawing, fresh=bool(todo))
     return CampaignResult(folder, tuple(results), tuple(made), tuple(dict.fromkeys([*notes, *more])))
 
 
@@ -100,7 +127,7 @@ def read_run(folder: Path) -> dict[str, Any]:
     return run
 
 
-def _must_solve(case: Case, folder: Path, *, force: bool) -> bool:
+def _must_solve(case: Case, problem: Problem, folder: Path, *, force: bool, resume: bool) -> bool:
     """Return whether a variant is to be solved; raises CaseError where that would overwrite without leave."""
     run = {} if force else read_run(folder)
     if not run:
@@ -108,14 +135,26 @@ def _must_solve(case: Case, folder: Path, *, force: bool) -> bool:
     changes = _difference(run.get("case", {}), _solved(case))
     if changes:
         raise CaseError(f"{folder}: holds the result of another case ({changes}); --force replaces it, --out avoids it")
-    if run["status"] == "running":
-        raise CaseError(f"{folder}: an unfinished run of this case (or one still going on); --force starts it again")
-    return bool(run["status"] != "finished" or run["versions"]["pipeline"] != VERSION)
+    if run["status"] not in _UNFINISHED:
+        return bool(run["status"] != "finished" or run["versions"]["pipeline"] != VERSION)
+    if not resume:
+        raise CaseError(
+            f"{folder}: an unfinished run of this case; --resume goes on where it stopped, --force starts it again"
+        )
+    changes = _difference(
+        {"pipeline": run["versions"]["pipeline"], "mesh": run.get("mesh_digest")},
+        {"pipeline": VERSION, "mesh": mesh_digest(problem.body.mesh)},
+    )
+    if changes:
+        raise CaseError(f"{folder}: cannot go on with another version or mesh ({changes}); --force starts it again")
+    return True
 
 
 def _solved(case: Case) -> dict[str, Any]:
-    """Return the part of a case that its results depend on: all but the movie."""
-    return {key: value for key, value in case.as_dict().items() if key != "movie"}
+    """Return the part of a case that its results depend on: all but the movie and the checkpoints."""
+    document = {key: value for key, value in case.as_dict().items() if key != "movie"}
+    document["output"] = {k: v for k, v in document["output"].items() if k != "checkpoint_seconds"}
+    return document
 
 
 def _difference(old: dict[str, Any], new: dict[str, Any]) -> str:
@@ -132,40 +171,106 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
     return {k: v for key, one in value.items() for k, v in _flat(one, f"{prefix}.{key}" if prefix else key).items()}
 
 
-def _solve(case: Case, problem: Problem, folder: Path, notify: Notify | None) -> VariantResult:
-    """Solve and record one variant; a SolveError is a result, kept in run.json."""
-    name = case.variant_name or ""
-    _clear(folder)
-    run = _opening(case, problem)
-    write_whole(folder / "case.toml", case.to_toml(folder))
-    write_whole(folder / "run.json", _json(run))
-    so_far: list[RunSummary] = []
+class _Solving:
+    """One variant being solved and recorded, from its start or from a checkpoint."""
 
-    def on_frame(frame: Frame, measured: Values, summary: RunSummary) -> None:
-        so_far[:] = [summary]
-        if notify is not None:
-            notify(name, problem, frame, measured, summary)
+    def __init__(
+        self, case: Case, problem: Problem, folder: Path, asked: Interruption, notify: Notify | None = None
+    ) -> None:
+        self.case, self.problem, self.folder, self.asked, self.notify = case, problem, folder, asked, notify
+        self.name = case.variant_name or ""
+        self.summary: RunSummary | None = None
+        self.checkpoints = CheckpointFolder(folder / CHECKPOINTS, seconds=case.output.checkpoint_seconds)
 
-    sinks: list[Sink] = [VtuSink(folder), NetcdfSink(folder / "statistics.nc", title=f"{case.name}: {name}")]
-    status: Status = "finished"
-    try:
-        # small dense factors gain nothing from BLAS threads, and stall where cores are shared
-        with threadpool_limits(limits=1, user_api="blas"):
-            record(frames(problem), sinks, on_frame=on_frame)
-    except SolveError as error:
-        status = "failed"
-        run["message"] = str(error)
-    run |= {"status": status} | (_closing(so_far[0], problem) if so_far else {})
-    write_whole(folder / "run.json", _json(run))
-    return VariantResult(name, folder, status, run)
+    def result(self, *, resume: bool) -> VariantResult:
+        """Return how it ended; a SolveError is a result, kept in run.json, as is an end that comes too early."""
+        run, began = self._opened(resume=resume)
+        status: Status = "finished"
+        try:
+            self._record(began)
+        except SolveError as error:
+            status = "failed"
+            run["message"] = str(error)
+        except (Interrupted, OutputError) as error:
+            with suppress(OutputError):  # the disk may be full; "running" can be resumed as well
+                self._close(run | {"message": str(error)}, "interrupted")
+            raise
+        run = self._close(run, status)
+        self.checkpoints.remove()
+        return VariantResult(self.name, self.folder, status, run)
+
+    def _opened(self, *, resume: bool) -> tuple[dict[str, Any], Checkpoint | None]:
+        """Return the run.json of a run that begins, and the checkpoint that it goes on from."""
+        old = read_run(self.folder) if resume else {}
+        run = _opening(self.case, self.problem)
+        began = None
+        if old.get("status") in _UNFINISHED:
+            began, notes = continuation(self.folder, self.problem, title=self._title)
+            run["notes"] += notes + _other_packages(old, run)
+        if began is None:
+            _clear(self.folder)
+        else:
+            self.summary = began.summary
+            run["resumed_after_steps"] = [*old.get("resumed_after_steps", ()), began.state.step]
+        write_whole(self.folder / "case.toml", self.case.to_toml(self.folder))
+        write_whole(self.folder / "run.json", _json(run))
+        return run, began
+
+    def _record(self, began: Checkpoint | None) -> None:
+        written = next_frame(began, self.problem) if began else 0
+        sinks: list[Sink] = [
+            VtuSink(self.folder, earlier=frame_times(written, self.problem)),
+            NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
+        ]
+        start, begun = (began.state, began.work) if began else (None, None)
+        self.asked.solving = True
+        try:
+            # small dense factors gain nothing from BLAS threads, and stall where cores are shared
+            with threadpool_limits(limits=1, user_api="blas"):
+                source = frames(self.problem, start, begun=begun, after_step=self._after_step)
+                record(source, sinks, on_frame=self._on_frame, before=self.summary)
+        finally:
+            self.asked.solving = False
+
+    def _on_frame(self, frame: Frame, measured: Values, summary: RunSummary) -> None:
+        self.summary = summary
+        if self.notify is not None:
+            self.notify(self.name, self.problem, frame, measured, summary)
+
+    def _after_step(self, state: State, work: Work) -> None:
+        """Write a checkpoint where one is due; raises Interrupted where an end was asked for."""
+        if self.summary is not None and (self.asked.requested or self.checkpoints.due()):
+            self.checkpoints.write(Checkpoint(state, work, self.summary))
+        if self.asked.requested:
+            raise Interrupted(
+                f"interrupted after step {state.step} of {self.name}; the same command with --resume goes on from there"
+            )
+
+    def _close(self, run: dict[str, Any], status: str) -> dict[str, Any]:
+        """Return the run.json of a run that ended, and write it."""
+        run = run | {"status": status} | (_closing(self.summary, self.problem) if self.summary else {})
+        write_whole(self.folder / "run.json", _json(run))
+        return run
+
+    @property
+    def _title(self) -> str:
+        return f"{self.case.name}: {self.name}"
+
+
+def _other_packages(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+    """Return a note where packages or the machine changed before a run was resumed."""
+    changes = _difference(*({"versions": run["versions"], "machine": run["machine"]} for run in (old, new)))
+    return [f"resumed with other packages or on another machine ({changes}): digits may differ"] if changes else []
 
 
 def _clear(folder: Path) -> None:
     """Remove what an earlier run left, and nothing else."""
     try:
-        shutil.rmtree(folder / "frames", ignore_errors=True)
+        # the record first: without it, what a kill leaves of the rest is cleared again and never resumed
         for name in ("run.json", "case.toml", "series.pvd", "statistics.nc"):
             (folder / name).unlink(missing_ok=True)
+        for name in (CHECKPOINTS, "frames"):
+            shutil.rmtree(folder / name, ignore_errors=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be cleared ({error.strerror})") from error
 
@@ -184,6 +289,7 @@ def _opening(case: Case, problem: Problem) -> dict[str, Any]:
         "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
         "cells": len(problem.body.mesh.cells),
         "nodes": len(problem.body.mesh.points),
+        "mesh_digest": mesh_digest(problem.body.mesh),
     }
 
 
@@ -227,7 +333,9 @@ def compare(
     usable = [
         name
         for name, run in ended.items()
-        if run.get("frames") and run["status"] != "running" and run["case"] == _solved(settled(case.variant(name)))
+        if run.get("frames")
+        and run["status"] not in _UNFINISHED
+        and run["case"] == _solved(settled(case.variant(name)))
     ]
     if not usable:
         return [], ["no variant left a frame: nothing to compare"]

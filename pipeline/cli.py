@@ -30,8 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         _say(f"{type(error).__name__}: {error}")
         return error.exit_code
-    except KeyboardInterrupt:
-        _say("interrupted; frames written so far are complete")
+    except KeyboardInterrupt as asked:
+        _say(str(asked) or "interrupted; frames written so far are complete")
         return INTERRUPTED
 
 
@@ -59,7 +59,9 @@ def _parser() -> argparse.ArgumentParser:
     run = verbs.add_parser("run", parents=[common, scene], help="solve a case; write frames, statistics and a movie")
     run.add_argument("--out", type=Path, default=Path("outputs"), metavar="DIR", help="where results go (outputs)")
     run.add_argument("--no-movie", action="store_true", help="no movie, so no OpenGL")
-    run.add_argument("--force", action="store_true", help="solve again and replace what is there")
+    over = run.add_mutually_exclusive_group()
+    over.add_argument("--force", action="store_true", help="solve again and replace what is there")
+    over.add_argument("--resume", action="store_true", help="go on with an unfinished run where it stopped")
     run.add_argument("--json", action="store_true", help="print the summary as JSON, and nothing else")
     run.set_defaults(run=_run)
 
@@ -99,6 +101,7 @@ def _run(options: argparse.Namespace) -> int:
             options.out,
             variants=options.variants,
             force=options.force,
+            resume=options.resume,
             movie=not options.no_movie,
             notify=bar.solved,
             on_drawing=bar.drawn,

@@ -17,6 +17,8 @@ from pipeline.stepping.state import State, Stepper, Work
 # [m, m/s]: volumes and energies of what is larger would overflow
 _BEYOND = 1e75
 
+AfterStep = Callable[[State, Work], None]
+
 
 @dataclass(frozen=True)
 class RunSummary:
@@ -38,21 +40,30 @@ class RunSummary:
         return self.work.seconds / self.work.steps if self.work.steps else float("nan")
 
 
-def frames(problem: Problem, start: State | None = None) -> Iterator[Frame]:
+def frames(
+    problem: Problem, start: State | None = None, *, begun: Work | None = None, after_step: AfterStep | None = None
+) -> Iterator[Frame]:
     """Yield the start's frame and one every steps_per_frame steps, to the end of the schedule.
 
-    Raises SolveError where a step fails; the frames before it stand. `work.seconds` of the first frame is the set-up.
+    Raises SolveError where a step fails; the frames before it stand. `work.seconds` of the first frame is the set-up,
+    unless `begun`, the work since the frame before `start`, says that the run goes on; a start between two frames has
+    no frame. `after_step` gets each new state and the work since the frame before, and is called before its frame.
     """
     state = problem.start if start is None else start
     began = time.perf_counter()
     stepper = problem.prepare()
-    yield _frame(problem, state, Work(seconds=time.perf_counter() - began))
-    for _ in range(state.step // problem.steps_per_frame, problem.frames):
-        work = Work()
-        for _ in range(problem.steps_per_frame):
-            state, done = _timed_step(stepper, state)
-            work += done
+    work = Work(seconds=time.perf_counter() - began) if begun is None else begun
+    if state.step % problem.steps_per_frame == 0:
         yield _frame(problem, state, work)
+        work = Work()
+    while state.step < problem.frames * problem.steps_per_frame:
+        state, done = _timed_step(stepper, state)
+        work += done
+        if after_step is not None:
+            after_step(state, work)
+        if state.step % problem.steps_per_frame == 0:
+            yield _frame(problem, state, work)
+            work = Work()
 
 
 def _timed_step(stepper: Stepper, state: State) -> tuple[State, Work]:
@@ -107,12 +118,19 @@ def dynamics(body: Body, state: State) -> dict[str, Floats]:
 OnFrame = Callable[[Frame, Values, "RunSummary"], None]
 
 
-def record(source: Iterator[Frame], sinks: Sequence[Sink], *, on_frame: OnFrame | None = None) -> RunSummary:
+def record(
+    source: Iterator[Frame],
+    sinks: Sequence[Sink],
+    *,
+    on_frame: OnFrame | None = None,
+    before: RunSummary | None = None,
+) -> RunSummary:
     """Drive frames into sinks and return what the run was; the sinks are closed whatever happens.
 
-    `on_frame` is called after each frame with the frame, its measures and the summary so far.
+    `on_frame` is called after each frame with the frame, its measures and the summary so far. `before` is the summary
+    of the frames that a resumed run has written already; the set-up of the first start stays the one told.
     """
-    summary = RunSummary(0, 0, 0.0, Work(), 0.0, 0.0, 1.0, 0, 0.0)
+    summary = before or RunSummary(0, 0, 0.0, Work(), 0.0, 0.0, 1.0, 0, 0.0)
     try:
         for frame in source:
             began = time.perf_counter()

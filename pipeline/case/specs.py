@@ -239,9 +239,10 @@ class ScheduleSpec(Spec):
 
 
 class OutputSpec(Spec):
-    """How frames are written."""
+    """How frames are written; the seconds of wall time between two checkpoints, which no result depends on."""
 
     format: Annotated[str, choice("vtu")] = "vtu"
+    checkpoint_seconds: Positive = 10.0
 
 
 class MovieSpec(Spec):

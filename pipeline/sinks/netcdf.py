@@ -14,20 +14,19 @@ _SCALAR_CHUNK = 256  # frames; the default of one would make a chunk, and its in
 
 
 class NetcdfSink:
-    """Appends frames to one netCDF file (CF-1.11, float64)."""
+    """Appends frames to one netCDF file (CF-1.11, float64), a new one unless `earlier` frames are in it."""
 
-    def __init__(self, path: Path, *, title: str) -> None:
+    def __init__(self, path: Path, *, title: str, earlier: int = 0) -> None:
         self.path = Path(path)
         self.title = title
         self._dataset: Any = None
-        self._count = 0
+        self._count = earlier
 
     def write(self, frame: Frame, measured: Values) -> None:
         """Append one frame and sync it to the disk."""
         try:
             if self._dataset is None:
-                self.path.parent.mkdir(parents=True, exist_ok=True)
-                self._dataset = _created(self.path, frame.mesh, measured, self.title)
+                self._dataset = self._opened(frame.mesh, measured)
             self._dataset["time"][self._count] = frame.time
             for name, value in measured.items():
                 self._dataset[name][self._count] = value
@@ -35,6 +34,14 @@ class NetcdfSink:
         except (OSError, RuntimeError) as error:
             raise OutputError(f"{self.path}: cannot be written ({error})") from error
         self._count += 1
+
+    def _opened(self, mesh: Mesh, measured: Values) -> Any:
+        if self._count:
+            import netCDF4
+
+            return netCDF4.Dataset(self.path, "a")
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        return _created(self.path, mesh, measured, self.title)
 
     def close(self) -> None:
         """Close the file."""

@@ -5,6 +5,7 @@ ParaView of several distributions cannot read it.
 """
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -22,18 +23,18 @@ _INDEX_SECONDS = 1.0  # the index grows with the run; written every frame it wou
 
 
 class VtuSink:
-    """Writes frames/frame_000000.vtu … and series.pvd into a folder."""
+    """Writes frames/frame_000000.vtu … and series.pvd into a folder, after frames of `earlier` times [s] there."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, earlier: Sequence[float] = ()) -> None:
         self.folder = Path(folder)
         self.index = self.folder / "series.pvd"
-        self._listed: list[tuple[float, str]] = []
+        self._listed = [(t, _file(index)) for index, t in enumerate(earlier)]
         self._indexed = -np.inf
         self._mesh: Mesh | None = None
 
     def write(self, frame: Frame, measured: Values) -> None:
         """Write one frame whole; the index follows within a second."""
-        name = f"frames/frame_{frame.index:06d}.vtu"
+        name = _file(frame.index)
         write_whole(self.folder / name, self._encoded(frame, measured))
         self._listed.append((frame.time, name))
         if time.monotonic() - self._indexed >= _INDEX_SECONDS:
@@ -64,6 +65,10 @@ class VtuSink:
         if not writer.Write():
             raise OutputError(f"{self.folder}: VTK could not encode frame {frame.index}")
         return str(writer.GetOutputString())
+
+
+def _file(index: int) -> str:
+    return f"frames/frame_{index:06d}.vtu"
 
 
 def pvd_text(listed: list[tuple[float, str]]) -> str:

@@ -1,0 +1,205 @@
+"""What goes wrong from outside: kills, full disks, writers that fail. Nothing complete is lost, the rest goes on."""
+
+import errno
+import json
+import os
+import random
+import re
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+import pyvista
+import xarray
+
+from pipeline.campaign import CampaignResult, run_campaign
+from pipeline.case import load_case
+from pipeline.cli import main
+from pipeline.errors import OutputError
+from pipeline.series import read_series
+from pipeline.sinks import atomic
+from pipeline.sinks.netcdf import NetcdfSink
+from pipeline.sinks.vtu import VtuSink
+from tests.bodies import without_figures, write_case
+from tests.test_resume import assert_same_results
+
+ROOT = Path(__file__).resolve().parent.parent
+KILLS = int(os.environ.get("PIPELINE_KILLS", "5"))
+
+
+@pytest.fixture(autouse=True)
+def _no_figures(monkeypatch):
+    without_figures(monkeypatch)
+
+
+def written(folder: Path, *, frames: int = 12, seconds: float = 1e-9) -> Path:
+    """A case of one variant with a checkpoint every step."""
+    schedule = {"dt": 0.002, "frames": frames}
+    variants = {"only": {"method.stepper": "bdf2"}}
+    return write_case(folder, schedule=schedule, output={"checkpoint_seconds": seconds}, variants=variants)
+
+
+def solve(path: Path, out: Path, **keywords) -> CampaignResult:
+    return run_campaign(load_case(path), out, movie=False, **keywords)
+
+
+def command(path: Path, out: Path, *more: str) -> list[str]:
+    run = ["run", str(path), "--out", str(out), "--no-movie", "--quiet", *more]
+    return [sys.executable, "-m", "pipeline.cli", *run]
+
+
+def assert_readable(folder: Path) -> int:
+    """Every complete frame is read by VTK, the index lists frames that are there; returns how many frames there are."""
+    files = sorted((folder / "frames").glob("frame_*.vtu"))
+    assert [file.name for file in files] == [f"frame_{i:06d}.vtu" for i in range(len(files))]
+    for file in files:
+        grid = pyvista.read(file)
+        assert grid.n_cells == 18 and "volume_ratio" in grid.cell_data
+    if (folder / "series.pvd").exists():
+        listed = re.findall(r'file="(.*?)"', (folder / "series.pvd").read_text())
+        assert listed == [f"frames/{file.name}" for file in files[: len(listed)]]
+        assert len(read_series(folder)) >= len(listed)
+    return len(files)
+
+
+def test_kill_9_at_random_moments_loses_one_frame_at_most_and_the_rest_goes_on(tmp_path):
+    """Each child goes on where the one before was killed; the last one is let finish."""
+    path, out = written(tmp_path, frames=120 * KILLS), tmp_path / "parts"
+    folder = out / "beam" / "only"
+    before, moments = 0, random.Random(0)
+    for _ in range(KILLS):
+        child = subprocess.Popen(command(path, out, "--resume"), cwd=ROOT, stderr=subprocess.PIPE)
+        deadline = time.monotonic() + 60
+        while not (folder / f"frames/frame_{before + 1:06d}.vtu").exists() and child.poll() is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.001)
+        time.sleep(moments.random() * 0.3)
+        child.send_signal(signal.SIGKILL)
+        _, err = child.communicate()
+        assert child.returncode == -signal.SIGKILL, err
+        run = json.loads((folder / "run.json").read_text())
+        assert run["status"] == "running"
+        if before:  # a checkpoint every step: what has to be solved again is the step of the last frame
+            assert run["resumed_after_steps"][-1] >= before - 1
+        before = assert_readable(folder)
+    resumed = solve(path, out, resume=True).variants[0]
+    assert resumed.run["resumed_after_steps"][-1] >= before - 1 and len(resumed.run["resumed_after_steps"]) == KILLS
+    assert_same_results(solve(path, tmp_path / "whole").variants[0].folder, folder)
+
+
+@pytest.mark.parametrize("limit", [6_000, 60_000, 120_000], ids=["frame", "dataset", "later"])
+def test_a_full_disk_is_one_line_and_the_run_goes_on_when_there_is_room(tmp_path, limit):
+    """Every file is limited, as a full disk limits what grows: frames at once, or statistics.nc after a while."""
+    path, out = written(tmp_path, frames=60), tmp_path / "parts"
+    folder = out / "beam" / "only"
+    full = subprocess.run(
+        command(path, out),
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    assert full.returncode == 4 and full.stdout == ""
+    assert full.stderr.count("\n") == 1 and full.stderr.startswith("OutputError: ") and "cannot be" in full.stderr
+    count = assert_readable(folder)
+    assert count == 0 if limit == 6_000 else 0 < count < 61
+    assert main(["run", str(path), "--out", str(out), "--no-movie", "--quiet", "--resume"]) == 0
+    assert_same_results(solve(path, tmp_path / "whole").variants[0].folder, folder)
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".pvd", ".checkpoint", ".json"])
+def test_no_space_for_one_kind_of_file_corrupts_nothing(tmp_path, monkeypatch, suffix):
+    path, out = written(tmp_path), tmp_path / "parts"
+    genuine, calls = os.replace, []
+
+    def full(source, target):
+        calls.extend([1] if str(target).endswith(suffix) else [])
+        if str(target).endswith(suffix) and len(calls) > 1:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        genuine(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(atomic.os, "replace", full)
+        with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\)"):
+            solve(path, out)
+    folder = out / "beam" / "only"
+    assert assert_readable(folder) > 0
+    assert list(folder.rglob(".*")) == [] and list((out / "beam").glob(".lock")) == []
+    assert solve(path, out, resume=True).variants[0].status == "finished"
+    assert_same_results(solve(path, tmp_path / "whole").variants[0].folder, folder)
+
+
+@pytest.mark.parametrize("sink", [VtuSink, NetcdfSink])
+@pytest.mark.parametrize("at", [0, 5])
+def test_a_writer_that_fails_leaves_what_can_be_gone_on_with(tmp_path, monkeypatch, sink, at):
+    path, out = written(tmp_path), tmp_path / "parts"
+    genuine = sink.write
+
+    def failing(self, frame, measured):
+        if frame.index == at:
+            raise OutputError(f"{frame.index}: the writer broke")
+        genuine(self, frame, measured)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sink, "write", failing)
+        with pytest.raises(OutputError, match="the writer broke"):
+            solve(path, out)
+    folder = out / "beam" / "only"
+    run = json.loads((folder / "run.json").read_text())
+    assert run["status"] == "interrupted" and "the writer broke" in run["message"]
+    assert solve(path, out, resume=True).variants[0].status == "finished"
+    assert_same_results(solve(path, tmp_path / "whole").variants[0].folder, folder)
+
+
+@pytest.mark.parametrize("harm", ["missing", "half", "empty", "junk"])
+def test_a_torn_dataset_is_made_again_from_the_frames(tmp_path, monkeypatch, harm):
+    path, out = written(tmp_path), tmp_path / "parts"
+
+    def interrupted(name, problem, frame, measured, summary):
+        if frame.index == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve(path, out, notify=interrupted)
+    dataset = out / "beam" / "only" / "statistics.nc"
+    data = dataset.read_bytes()
+    dataset.unlink()
+    if harm != "missing":
+        dataset.write_bytes({"half": data[: len(data) // 2], "empty": b"", "junk": b"junk" * 999}[harm])
+    resumed = solve(path, out, resume=True).variants[0]
+    assert resumed.run["resumed_after_steps"] == [7]
+    assert_same_results(solve(path, tmp_path / "whole").variants[0].folder, resumed.folder)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else, and others are refused anyway")
+def test_a_folder_that_may_not_be_written_is_one_line():
+    """As nobody, in a folder of root's; a run as root comes first, as nobody may not be able to import anything."""
+    code = (
+        "import os, sys\nfrom pipeline.cli import main\n"
+        "assert main([*sys.argv[1:], '--out', sys.argv[2] + '.warm']) == 0\n"
+        "os.setuid(65534)\nsys.exit(main(sys.argv[1:]))"
+    )
+    with tempfile.TemporaryDirectory() as name:  # the folders above tmp_path are closed to others
+        folder = Path(name)
+        folder.chmod(0o755)
+        arguments = command(written(folder, frames=2), folder / "out")[3:]
+        refused = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True)
+        assert sorted(path.name for path in folder.iterdir()) == ["beam.toml", "beam.toml.warm"]
+    assert refused.returncode == 4 and refused.stderr.count("\n") == 1, refused.stderr
+    assert refused.stderr.startswith("OutputError: ") and "Permission denied" in refused.stderr
+
+
+def test_the_dataset_of_an_interrupted_run_can_be_read_while_it_is_unfinished(tmp_path):
+    def interrupted(name, problem, frame, measured, summary):
+        if frame.index == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve(written(tmp_path), tmp_path / "out", notify=interrupted)
+    with xarray.open_dataset(tmp_path / "out" / "beam" / "only" / "statistics.nc") as dataset:
+        assert dataset.sizes["time"] == 4
