@@ -14,6 +14,7 @@ from pipeline.case import Case, load_case, parse_override
 from pipeline.errors import PipelineError
 from pipeline.frame import Frame, Values
 from pipeline.run import RunSummary
+from pipeline.series import Series, read_series
 from pipeline.version import VERSION
 
 INTERRUPTED = 130
@@ -81,7 +82,29 @@ def _parser() -> argparse.ArgumentParser:
 
     methods = verbs.add_parser("methods", parents=[common], help="what a case may choose from")
     methods.set_defaults(run=_methods)
+    _add_series_verbs(verbs, common)
     return parser
+
+
+def _add_series_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
+    """Add what measures series that other programs wrote."""
+    foreign = argparse.ArgumentParser(add_help=False)
+    foreign.add_argument(
+        "--displacement", metavar="FIELD", help='point field added to rest points; "none": points move'
+    )
+    foreign.add_argument("--rest", metavar="STATE", help="first, points, rest_position or a file")
+    foreign.add_argument("--strict", action="store_true", help="refuse a series with missing or broken frames")
+    foreign.add_argument("--movie", action="store_true", help="draw a movie too")
+    foreign.add_argument("--out", type=Path, default=Path("outputs/analysis"), metavar="DIR", help="where results go")
+
+    one = verbs.add_parser("analyze", parents=[common, foreign], help="measure anybody's series")
+    one.add_argument("series", metavar="SERIES", help="index, folder, 'pattern*.vtu', .vtkhdf or .xdmf")
+    one.set_defaults(run=_analyze)
+
+    many = verbs.add_parser("compare", parents=[common, foreign], help="measure series side by side")
+    many.add_argument("series", metavar="SERIES", nargs="+", help="two and more of what analyze takes")
+    many.add_argument("--difference", action="store_true", help="differences to the first; needs the same cells")
+    many.set_defaults(run=_compare)
 
 
 def _loaded(options: argparse.Namespace) -> Case:
@@ -203,6 +226,44 @@ def _methods(options: argparse.Namespace) -> int:
     return 0
 
 
+def _opened(options: argparse.Namespace, path: str) -> Series:
+    return read_series(path, displacement=options.displacement, rest=options.rest, strict=options.strict)
+
+
+def _analyze(options: argparse.Namespace) -> int:
+    from pipeline.analysis import analyze
+
+    with _progress(options.quiet) as bar:
+        found = analyze(
+            _opened(options, options.series), options.out, movie=options.movie, on_frame=bar.read, on_drawing=bar.drawn
+        )
+    for note in found.notes:
+        _say(f"note: {note}")
+    if not options.quiet:
+        worst = f"{found.worst_volume_ratio:.4f} (cell {found.worst_cell}, t = {found.worst_time:.4g} s)"
+        print(f"{found.name}: {found.frames} frames; worst volume ratio {worst}", *found.made, sep="\n  ")
+    return 0
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from pipeline.analysis import compare
+
+    with _progress(options.quiet) as bar:
+        found = compare(
+            [_opened(options, path) for path in options.series],
+            options.out,
+            movie=options.movie,
+            difference=options.difference,
+            on_frame=bar.read,
+            on_drawing=bar.drawn,
+        )
+    for note in found.notes:
+        _say(f"note: {note}")
+    if not options.quiet:
+        print(*found.made, sep="\n")
+    return 0
+
+
 class _Progress:
     """A bar a variant, with steps a second, time left and the worst volume ratio; and one for the movie."""
 
@@ -220,6 +281,10 @@ class _Progress:
     def drawn(self, done: int, total: int) -> None:
         """Show a frame of the movie."""
         self._show("movie", done, total, "")
+
+    def read(self, name: str, done: int, total: int) -> None:
+        """Show a frame of a series that is read."""
+        self._show(name, done, total, "")
 
     def _show(self, name: str, done: int, total: int, text: str) -> None:
         if self._display is None:

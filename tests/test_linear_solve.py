@@ -13,7 +13,9 @@ from pipeline.stepping.warped import WarpedCG
 
 def path(cases_folder, solver: str, variant: str, **keys: object) -> list[np.ndarray]:
     overrides = {"method.linear_solver": solver, "schedule.frames": 100, **keys}
-    return [frame.x for frame in frames(build(load_case(cases_folder / "bar.toml", overrides=overrides).variant(variant)))]
+    return [
+        frame.x for frame in frames(build(load_case(cases_folder / "bar.toml", overrides=overrides).variant(variant)))
+    ]
 
 
 @pytest.mark.parametrize("variant", ["linear", "gram_schmidt", "polar", "converged"])

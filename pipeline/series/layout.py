@@ -1,0 +1,204 @@
+"""How a series is to be understood: which cells are measured, what they are at rest, where its points are.
+
+Solvers write deformed points, or rest points and a displacement field; some write hexahedra beside tetrahedra,
+nodes that no cell names, mirrored cells. What is decided here is told in a note.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import MeshError, SeriesError
+from pipeline.mesh.cleanup import oriented
+from pipeline.mesh.simplex import CELL_NAMES, Floats, Ints, Mesh
+from pipeline.series.grids import SUFFIXES, Grid, read_grid
+
+_KINDS = {3: 10, 2: 5}  # VTK's numbers of tetrahedron and triangle
+_DISPLACEMENTS = {"displacement", "displacements", "disp", "u", "deformation"}  # compared in lower case
+# vectors that say nothing about where a node is
+_OTHERS = ("velocity", "veloc", "acceler", "force", "normal", "reaction", "load", "momentum", "traction", "rest_")
+_PLANAR = 1e-6  # of the size: single precision leaves a few 1e-7 of it
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a reader of a series may say: the displacement field ("none" for deformed points) and the rest state.
+
+    `rest` is "first", "rest_position", "points", the path of a file, or None for the first of these that there is:
+    the field rest_position, the points where a displacement field is used, the first frame.
+    """
+
+    displacement: str | None = None
+    rest: str | Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """How frames become positions on one mesh.
+
+    `nodes` (n,) are the points of the files that are nodes of the mesh, `chosen` (cells of the files,) marks the
+    cells that are measured; `displacement` names the field that is added to the points.
+    """
+
+    mesh: Mesh
+    nodes: Ints | None
+    chosen: NDArray[np.bool_] | None
+    displacement: str | None
+    grid: Grid  # cells only: of the first frame
+    notes: tuple[str, ...]
+    guessed: bool  # the displacement was found by its name
+
+    def positions(self, grid: Grid, where: str) -> Floats:
+        """Return the positions of a frame (n, d); raises SeriesError where they are not those of this mesh."""
+        if not same_cells(grid, self.grid):
+            raise SeriesError(
+                f"{where}: its cells are not those of the first frame "
+                f"({len(grid.types)} cells, {len(grid.points)} points; there {len(self.grid.types)} and "
+                f"{len(self.grid.points)}): the topology changes"
+            )
+        if self.guessed and not np.array_equal(grid.points, self.grid.points):
+            raise SeriesError(
+                f"{where}: the points move, unlike those of the first, the middle and the last frame: say whether "
+                f'displacement = "{self.displacement}" has to be added to them, or "none"'
+            )
+        points = deformed(grid, self.displacement, where)
+        points = points if self.nodes is None else points[self.nodes]
+        bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+        if bad.size:
+            raise SeriesError(f"{where}: {bad.size} points are not finite, first {self.node(bad[0])}")
+        return planar(points, where) if self.mesh.dimension == 2 else np.ascontiguousarray(points)
+
+    def node(self, index: int) -> int:
+        """Return the number of a node in the files."""
+        return int(index if self.nodes is None else self.nodes[index])
+
+
+def same_cells(a: Grid, b: Grid) -> bool:
+    """Return whether two grids have the same points' count and the same cells."""
+    return (
+        len(a.points) == len(b.points)
+        and np.array_equal(a.types, b.types)
+        and np.array_equal(a.connectivity, b.connectivity)
+    )
+
+
+def deformed(grid: Grid, displacement: str | None, where: str) -> Floats:
+    """Return where the points of a grid are (n, 3)."""
+    if displacement is None:
+        return grid.points
+    if displacement not in grid.point_data:
+        raise SeriesError(f"{where}: no point field {displacement}; it has {_listed(grid.point_data)}")
+    field = np.asarray(grid.point_data[displacement], dtype=np.float64)
+    if field.ndim != 2 or field.shape[1] not in (2, 3):
+        raise SeriesError(f"{where}: the point field {displacement} {field.shape} is no vector field")
+    return grid.points + np.pad(field, [(0, 0), (0, 3 - field.shape[1])])
+
+
+def planar(points: Floats, where: str) -> Floats:
+    """Return points without their third coordinate, which must be constant."""
+    if np.ptp(points[:, 2]) > _PLANAR * float(np.ptp(points, axis=0).max()):
+        raise SeriesError(f"{where}: triangles that do not lie in a plane of constant z are a surface, not a body")
+    return np.ascontiguousarray(points[:, :2])
+
+
+def understood(read: Callable[[int], Grid], count: int, options: Options, where: str) -> Layout:
+    """Return how to read a series of `count` frames; raises SeriesError where that cannot be known."""
+    first = read(0)
+    dimension, chosen, notes = _measured_cells(first, where)
+    displacement, said = _displacement(read, count, options, where)
+    cells = first.cells(_KINDS[dimension], dimension + 1)
+    rest, told = _rest_points(first, displacement, options, where)
+    used = np.zeros(len(rest), dtype=bool)
+    used[cells] = True
+    nodes = None if used.all() else np.flatnonzero(used)
+    if nodes is not None:
+        rest, cells = rest[nodes], (np.cumsum(used) - 1)[cells]
+        notes.append(f"{(~used).sum()} points that belong to no measured cell are left out, first {np.argmin(used)}")
+    try:
+        points = planar(rest, f"{where}: rest state") if dimension == 2 else rest
+        cells, mirrored = oriented(points, cells)
+        mesh = Mesh(points, cells, name=where)
+    except MeshError as error:
+        raise SeriesError(f"rest state: {error}") from error
+    bare = Grid(first.points, first.types, first.offsets, first.connectivity, {}, {}, {})
+    mask = None if chosen.all() else chosen
+    guessed = displacement is not None and options.displacement is None
+    return Layout(mesh, nodes, mask, displacement, bare, (*notes, *said, *told, *mirrored), guessed)
+
+
+def _measured_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], list[str]]:
+    """Return the dimension, which cells are its simplices, and a note that counts the others."""
+    import pyvista
+    from vtkmodules.vtkCommonDataModel import vtkGenericCell
+
+    cell, dimensions = vtkGenericCell(), dict[int, int]()
+    kinds, counts = np.unique(grid.types, return_counts=True)
+    for kind in kinds.tolist():
+        cell.SetCellType(kind)
+        dimensions[kind] = cell.GetCellDimension()
+    d = max(dimensions.values())
+    names = {kind: f"{count} {pyvista.CellType(kind).name.lower()}"
+             for kind, count in zip(kinds.tolist(), counts.tolist(), strict=True)}  # fmt: skip
+    if _KINDS.get(d) not in dimensions:
+        raise SeriesError(f"{where}: it has no tetrahedra and no triangles, but {', '.join(names.values())}")
+    others = [name for kind, name in names.items() if kind != _KINDS[d]]
+    notes = [f"cells that are no {CELL_NAMES[d]} are not measured: {', '.join(others)}"] if others else []
+    return d, grid.types == _KINDS[d], notes
+
+
+def _displacement(
+    read: Callable[[int], Grid], count: int, options: Options, where: str
+) -> tuple[str | None, list[str]]:
+    """Return the displacement field to add to the points, None where the points themselves move."""
+    first = read(0)
+    if options.displacement is not None:
+        if options.displacement == "none":
+            return None, []
+        deformed(first, options.displacement, where)
+        return options.displacement, []
+    if "rest_position" in first.point_data:
+        return None, []
+    if any(not np.array_equal(read(i).points, first.points) for i in sorted({count // 2, count - 1} - {0})):
+        return None, []
+    vectors = [n for n, a in first.point_data.items() if a.ndim == 2 and a.shape[1] in (2, 3)]
+    named = [name for name in vectors if name.lower() in _DISPLACEMENTS]
+    if len(named) == 1:
+        return named[0], [f"the points do not move; the field {named[0]} is taken for the displacement"]
+    candidates = named or [name for name in vectors if not any(word in name.lower() for word in _OTHERS)]
+    if candidates:
+        raise SeriesError(
+            f"{where}: the points do not move, and the displacement may be any of {_listed(candidates)}: "
+            'say which (displacement = NAME), or displacement = "none" where the body is at rest'
+        )
+    return None, ["the points do not move and there is no displacement field"] if count > 1 else []
+
+
+def _rest_points(first: Grid, displacement: str | None, options: Options, where: str) -> tuple[Floats, list[str]]:
+    """Return the points of the rest state (n, 3) and a note of what it is."""
+    rest = options.rest
+    if rest is None:
+        rest = "rest_position" if "rest_position" in first.point_data else "points" if displacement else "first"
+        if rest == "first":
+            return first.points, ["the rest state is the first frame"]
+    if rest == "first":
+        return deformed(first, displacement, where), []
+    if rest == "points":
+        return first.points, []
+    if rest == "rest_position":
+        if "rest_position" not in first.point_data:
+            raise SeriesError(f"{where}: no point field rest_position; it has {_listed(first.point_data)}")
+        return np.asarray(first.point_data["rest_position"], dtype=np.float64), []
+    file = Path(rest)
+    if file.suffix not in SUFFIXES:
+        raise SeriesError(f"rest state {file}: a file ({', '.join(SUFFIXES)}), first, points or rest_position")
+    grid = read_grid(file)
+    if not same_cells(grid, first):
+        raise SeriesError(f"{where}: its cells are not those of the rest state {file}")
+    return grid.points, []
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)) or "none"

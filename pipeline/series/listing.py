@@ -1,0 +1,161 @@
+"""Which instants a path names: an index, a folder or pattern of numbered files, or one file with many steps."""
+
+import json
+import re
+import xml.etree.ElementTree as ET
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from glob import has_magic
+from pathlib import Path
+from typing import NamedTuple
+
+from pipeline.errors import SeriesError
+from pipeline.series.grids import SUFFIXES, fault, file_times
+
+_TEMPORAL = (".vtkhdf", ".xdmf")
+_INDICES = (".pvd", ".series")
+
+
+class Member(NamedTuple):
+    """One instant: its time [s], the file that it lies in and the step there."""
+
+    time: float
+    file: Path
+    step: int = 0
+
+
+class Listing(NamedTuple):
+    """The instants that can be read, in the order of time, and what had to be said about the others."""
+
+    name: str
+    folder: Path
+    members: tuple[Member, ...]
+    notes: tuple[str, ...]
+
+
+def listing(path: Path, *, strict: bool) -> Listing:
+    """Return what a path names; raises SeriesError where that is nothing, and with `strict` for any missing frame."""
+    index = _resolved(path)
+    members, notes = _members(index)
+    members, faults = _whole(members)
+    if faults and strict:
+        raise SeriesError(f"{index}: {len(faults)} frames cannot be read, first {faults[0]}")
+    notes += [f"left out: {text}" for text in faults]
+    if not members:
+        raise SeriesError(f"{index}: none of its frames can be read: {faults[0]}")
+    in_order = sorted(members, key=lambda member: member.time)
+    if in_order != members:
+        notes.append("the times were not in order; the frames were sorted by time")
+    last = {member.time: member for member in in_order}
+    if len(last) < len(in_order):
+        notes.append(f"{len(in_order) - len(last)} frames have the time of a later one and were left out")
+    bad = [time for time in last if not abs(time) < float("inf")]
+    if bad:
+        raise SeriesError(f"{index}: the time {bad[0]} is not a number")
+    name, folder = _name(index)
+    return Listing(name, folder, tuple(last.values()), tuple(notes))
+
+
+def _name(index: Path) -> tuple[str, Path]:
+    """Return what to call a series, and its folder: `series.pvd`, patterns and folders take the folder's name."""
+    if index.is_dir():
+        return index.resolve().name, index
+    folder = index.parent
+    if index.suffix == ".pvd":
+        return folder.resolve().name, folder
+    return (folder.resolve().name if has_magic(index.name) else index.name.split(".")[0]), folder
+
+
+def _resolved(path: Path) -> Path:
+    """Return the index in a folder where there is one, else the path itself."""
+    if not path.is_dir():
+        return path
+    if (path / "series.pvd").exists():
+        return path / "series.pvd"
+    found = sorted(file for file in path.iterdir() if file.suffix in (*_INDICES, *_TEMPORAL))
+    if len(found) > 1:
+        raise SeriesError(f"{path}: holds several series, name one: {', '.join(file.name for file in found)}")
+    return found[0] if found else path
+
+
+def _members(index: Path) -> tuple[list[Member], list[str]]:
+    if index.is_dir():
+        return _numbered(index, (file for file in index.iterdir() if file.suffix in SUFFIXES))
+    if has_magic(str(index)) and not index.exists():
+        base = Path(index.anchor) if index.is_absolute() else Path()
+        return _numbered(index, base.glob(str(index.relative_to(base) if index.is_absolute() else index)))
+    if not index.exists():
+        raise SeriesError(f"{index}: no series there (No such file or directory)")
+    if index.suffix == ".pvd":
+        return _indexed(index, _pvd)
+    if index.suffix == ".series":
+        return _indexed(index, _json)
+    if index.suffix in _TEMPORAL:
+        times = file_times(index) or [0.0]
+        return [Member(time, index, step) for step, time in enumerate(times)], []
+    return _numbered(index, [index])
+
+
+def _indexed(index: Path, parse: Callable[[Path], list[Member]]) -> tuple[list[Member], list[str]]:
+    try:
+        members = parse(index)
+    except OSError as error:
+        raise SeriesError(f"{index}: no series there ({error.strerror})") from error
+    except (ET.ParseError, KeyError, ValueError, TypeError, AttributeError) as error:
+        raise SeriesError(f"{index}: not a ParaView index: {error}") from error
+    if not members:
+        raise SeriesError(f"{index}: it lists no frame")
+    return members, []
+
+
+def _pvd(index: Path) -> list[Member]:
+    entries = ET.parse(index).getroot().findall("./Collection/DataSet")
+    parts = {entry.get("part", "0") for entry in entries}
+    if len(parts) > 1:
+        raise SeriesError(f"{index}: lists {len(parts)} parts a frame; write them as one grid (pyvista: merge)")
+    return [Member(float(entry.attrib["timestep"]), index.parent / entry.attrib["file"]) for entry in entries]
+
+
+def _json(index: Path) -> list[Member]:
+    entries = json.loads(index.read_text(encoding="utf-8"))["files"]
+    return [Member(float(entry["time"]), index.parent / entry["name"]) for entry in entries]
+
+
+def _numbered(where: Path, found: Iterable[Path]) -> tuple[list[Member], list[str]]:
+    """Return files in the order of their numbers; times are those that all of them know, else their places."""
+    files = sorted((file for file in found if not file.name.startswith(".")), key=_natural)
+    if any(file.suffix == ".pvtu" for file in files):  # what is left are its pieces
+        files = [file for file in files if file.suffix == ".pvtu"]
+    if not files:
+        raise SeriesError(f"{where}: no series there: no index and no {', '.join(SUFFIXES)} file")
+    stems = defaultdict[str, int](int)
+    for file in files:
+        stems[re.sub(r"\d+", "*", file.name)] += 1
+    if len(stems) > 1:
+        found_here = ", ".join(f"{stem} ({count})" for stem, count in stems.items())
+        raise SeriesError(f"{where}: holds several series, give a pattern: {found_here}")
+    times = [file_times(file) if fault(file) is None else None for file in files]
+    known = [one[0] for one in times if one]
+    if len(known) == len(files):
+        return [Member(time, file) for time, file in zip(known, files, strict=True)], []
+    if not known:
+        note = "the files say no times; frames are counted from 0" if len(files) > 1 else ""
+        return [Member(float(i), file) for i, file in enumerate(files)], [note] if note else []
+    # frames that cannot be read have no time either; they are told of as such
+    unknown = [file for file, one in zip(files, times, strict=True) if not one and fault(file) is None]
+    if unknown:
+        raise SeriesError(f"{where}: {len(known)} files say their time (TimeValue), {unknown[0].name} does not")
+    return [Member(one[0] if one else float("nan"), file) for one, file in zip(times, files, strict=True)], []
+
+
+def _natural(file: Path) -> list[tuple[int, str]]:
+    """Return a key by which frame_9 comes before frame_10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", str(file))]
+
+
+def _whole(members: list[Member]) -> tuple[list[Member], list[str]]:
+    """Return the members whose files are there and whole, and a text for each of the others."""
+    faults = {file: fault(file) for file in {member.file for member in members}}
+    when = {m: f" at t = {m.time:g} s" if m.time == m.time else "" for m in members}
+    texts = [f"{m.file.name}{when[m]} {faults[m.file]}" for m in members if faults[m.file]]
+    return [member for member in members if not faults[member.file]], texts

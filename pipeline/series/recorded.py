@@ -1,0 +1,93 @@
+"""A recorded series of frames, replayed as Frames: what views and statistics read."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.frame import Frame
+from pipeline.measures import AXES, QUANTILES, VARIABLES
+from pipeline.mesh.simplex import Mesh
+from pipeline.series.grids import Grid, read_grid
+from pipeline.series.layout import Layout, Options, understood
+from pipeline.series.listing import listing
+
+_AS_FOUND = Options()
+_LENGTHS = {(): 1, ("axis",): len(AXES), ("quantile",): len(QUANTILES)}
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """The frames of a series: a name, the files in order (with the step in each) and their times [s]."""
+
+    name: str
+    folder: Path
+    files: tuple[Path, ...]
+    times: tuple[float, ...]
+    steps: tuple[int, ...] = ()
+    options: Options = _AS_FOUND
+    listing_notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self.frame(i) for i in range(len(self)))
+
+    def grid(self, index: int) -> Grid:
+        """Return what the files say of one frame, read now; raises SeriesError where it cannot be read."""
+        return read_grid(self.files[index], self.steps[index] if self.steps else 0)
+
+    def frame(self, index: int, grid: Grid | None = None) -> Frame:
+        """Return one frame, read from its file now; raises SeriesError where the file is not one of this series."""
+        grid = self.grid(index) if grid is None else grid
+        where = f"{self.files[index]}, t = {self.times[index]:g} s"
+        x = self.layout.positions(grid, where)
+        known = {}
+        for name in grid.field_data.keys() & VARIABLES.keys():
+            dims = VARIABLES[name].dims
+            value = np.asarray(grid.field_data[name], dtype=np.float64)
+            if value.size == _LENGTHS.get(dims):  # a field of that name may be something else elsewhere
+                known[name] = value.reshape([-1] if dims else [])
+        step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
+        return Frame(index, self.times[index], self.mesh, x, step=step, v=self._velocity(grid), known=known)
+
+    def _velocity(self, grid: Grid) -> np.ndarray | None:
+        v, d = grid.point_data.get("velocity"), self.mesh.dimension
+        if v is None or v.ndim != 2 or v.shape[1] < d:
+            return None
+        v = v if self.layout.nodes is None else v[self.layout.nodes]
+        return np.ascontiguousarray(v[:, :d], dtype=np.float64)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Return how the files are understood; reads the first frame, and two more where it is not clear from that."""
+        return understood(self.grid, len(self), self.options, str(self.files[0]))
+
+    @property
+    def mesh(self) -> Mesh:
+        """Return the rest mesh."""
+        return self.layout.mesh
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return what a reader should know: frames left out, cells not measured, what was taken for what."""
+        return *self.listing_notes, *self.layout.notes
+
+
+def read_series(
+    path: Path | str, name: str | None = None, *, displacement: str | None = None, rest: str | Path | None = None,
+    strict: bool = False,
+) -> Series:  # fmt: skip
+    """Return the series of an index (.pvd, .series), a folder, a pattern, or a file with steps (.vtkhdf, .xdmf).
+
+    Numbered files lie in a folder or match a pattern ("out/beam_*.vtu"). Frames that are missing or cut off are left
+    out with a note; `strict` refuses them. `displacement` and `rest` are those of Options. Raises SeriesError.
+    """
+    found = listing(Path(path), strict=strict)
+    times, files, steps = zip(*found.members, strict=True)
+    series = Series(name or found.name, found.folder, files, times, steps, Options(displacement, rest), found.notes)
+    _ = series.layout  # what cannot be understood is refused here, not at the first frame
+    return series
