@@ -287,3 +287,16 @@ def test_the_command_in_a_process_of_its_own(case, tmp_path):
     refused = subprocess.run([*command, "--set", "schedule.dt=0"], capture_output=True, text=True, cwd=ROOT)
     assert (refused.returncode, refused.stdout, refused.stderr.count("\n")) == (2, "", 1)
     assert refused.stderr.endswith("schedule.dt: 0 is not positive\n")
+
+
+def test_a_series_is_measured_and_compared_from_the_command_line(tmp_path, capsys):
+    out = tmp_path / "outputs"
+    assert main(["run", str(write_case(tmp_path)), "--out", str(out), "--no-movie", "--quiet"]) == 0
+    first, second = (str(out / "beam" / name) for name in ("linear", "polar"))
+    assert main(["analyze", first, "--out", str(tmp_path / "one")]) == 0
+    assert "worst volume ratio" in capsys.readouterr().out
+    assert (tmp_path / "one" / "statistics.nc").is_file()
+    assert main(["compare", first, second, "--difference", "--out", str(tmp_path / "two"), "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+    assert main(["analyze", str(tmp_path / "nothing.pvd")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
