@@ -27,8 +27,9 @@ setup: .venv/installed ## Create .venv, install everything into it; as root on D
 run: setup ## Run the example: cases/bar.toml -> outputs/bar (solved anew each time)
 	$(BIN)/pipeline run cases/bar.toml --force
 
-report: setup ## All scenes of the seeds from nothing -> outputs/reproduction.html and .md: what of them holds
+report: setup ## Every scene in full, from nothing -> outputs/reproduction.html and .md: what of the seeds holds
 	OMP_NUM_THREADS=1 $(BIN)/pipeline reproduce --force
+	for case in cases/*.toml; do $(BIN)/pipeline run $$case --quiet || exit 1; done
 
 bench: setup ## What a step costs beside plain scipy, in one run; minutes
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.steps --large
