@@ -43,7 +43,7 @@ def lowest_frequencies(body: Body, count: int = 1) -> tuple[Floats, Floats]:
 def _free_matrices(body: Body) -> tuple[csc_array, csc_array]:
     pattern, blocks = body.free_pattern
     _, K = body.linearise(body.mesh.points)
-    return tuple(csc_array(pattern.matrix(values[blocks])) for values in (K, body.mass))  # type: ignore[return-value]
+    return csc_array(pattern.matrix(K[blocks])), csc_array(pattern.matrix(body.mass[blocks]))
 
 
 def _dense(K: csc_array, M: csc_array) -> tuple[Floats, Floats]:
