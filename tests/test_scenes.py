@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_bvp
+from scipy.integrate import simpson, solve_bvp
 
 from pipeline import build, frames, load_case
 from pipeline.frame import Frame
@@ -86,21 +86,34 @@ def test_twisted_bar_follows_its_end_and_turns_half_as_far_in_the_middle(
         assert turned == pytest.approx(90, abs=5)
 
 
-def elastica_tip(alpha: float) -> tuple[float, float]:
-    """Return how far down and how far in the tip is, over the length, under a dead uniform load: q L^3 / EI = alpha.
+def elastica_tip(alpha: float, *, at_tip: bool = False) -> tuple[float, float]:
+    """Return how far down and how far in the tip is, over the length, under a dead load.
 
-    theta'' = -alpha (1 - s) cos theta, theta(0) = 0, theta'(1) = 0, theta downward.
+    Uniform, q L^3 / EI = alpha:  theta'' = -alpha (1 - s) cos theta; at the tip, P L^2 / EI = alpha:  without (1 - s).
+    theta(0) = 0, theta'(1) = 0, theta downward.
     """
     s = np.linspace(0, 1, 201)
     solved = solve_bvp(
-        lambda s, y: np.array([y[1], -alpha * (1 - s) * np.cos(y[0])]),
+        lambda s, y: np.array([y[1], -alpha * (1.0 if at_tip else 1 - s) * np.cos(y[0])]),
         lambda a, b: np.array([a[0], b[1]]),
         s,
         np.zeros((2, s.size)),
         tol=1e-8,
     )
     theta = solved.sol(s)[0]
-    return float(np.trapezoid(np.sin(theta), s)), float(1 - np.trapezoid(np.cos(theta), s))
+    return float(simpson(np.sin(theta), x=s)), float(1 - simpson(np.cos(theta), x=s))
+
+
+@pytest.mark.parametrize(
+    ("alpha", "down", "inward"),
+    [(0.4, 0.13098, None), (0.8, 0.24945, None), (1, 0.30172, 0.05643), (2, 0.49346, 0.16064), (3, 0.60325, None)],
+)
+def test_the_elastica_that_scenes_are_compared_with_is_that_of_the_tables(
+    alpha: float, down: float, inward: float | None
+) -> None:
+    found = elastica_tip(alpha, at_tip=True)
+    assert found[0] == pytest.approx(down, abs=5e-6)  # as many digits as the table has
+    assert inward is None or found[1] == pytest.approx(inward, abs=5e-6)
 
 
 def beam_tip(frame: Frame, length: float) -> tuple[float, float]:
