@@ -40,6 +40,7 @@ from pipeline.version import VERSION
 Status = Literal["finished", "failed", "up to date"]
 Notify = Callable[[str, Problem, Frame, Values, RunSummary], None]
 # of a run that could go on: killed, asked to stop, or stopped by what it could not write
+_DRAWN = ("comparison.mp4", "comparison.png")
 _UNFINISHED = ("running", "interrupted")
 _PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
 
@@ -329,20 +330,13 @@ def compare(
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> tuple[list[Path], list[str]]:
     """Join and draw every variant in the folder that is a result of this case; return the files made and notes."""
-    ended = {name: read_run(folder / name) for name in case.variant_names}
-    usable = [
-        name
-        for name, run in ended.items()
-        if run.get("frames")
-        and run["status"] not in _UNFINISHED
-        and run["case"] == _solved(settled(case.variant(name)))
-    ]
+    usable = [name for name, run in _recorded(case, folder).items() if run["status"] not in _UNFINISHED]
     if not usable:
         return [], ["no variant left a frame: nothing to compare"]
     paths = {n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png")}
-    if not fresh and all(path.exists() for name, path in paths.items() if movie or "comparison.m" not in name):
+    if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in _DRAWN):
         return [], []
-    for stale in ("comparison.mp4", "comparison.png"):
+    for stale in _DRAWN:
         paths[stale].unlink(missing_ok=True)
     title = case.movie.title or case.name.replace("_", " ")
     dataset, notes = joined({name: read_statistics(folder / name / "statistics.nc") for name in usable}, title=title)
@@ -383,10 +377,21 @@ def draw_movie(
     return path
 
 
+def _recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
+    """Return run.json of every variant that has frames of this very case, by name."""
+    runs = {name: read_run(folder / name) for name in case.variant_names}
+    return {
+        name: run
+        for name, run in runs.items()
+        if run.get("frames") and run["case"] == _solved(settled(case.variant(name)))
+    }
+
+
 def movie_of_folder(folder: Path, *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
     """Draw the movie of a result folder again, from its frames alone; raises PipelineError where it is not one."""
     case = load_case(folder / "case.toml")
-    shown = [name for name in case.movie.variants if read_run(folder / name).get("frames")]
+    recorded = _recorded(case, folder)
+    shown = [name for name in case.movie.variants if name in recorded]
     if not shown:
-        raise OutputError(f"{folder}: none of {', '.join(case.movie.variants)} has a recorded frame")
+        raise OutputError(f"{folder}: none of {', '.join(case.movie.variants)} has a recorded frame of this case")
     return draw_movie(case, folder, shown, on_drawing=on_drawing)

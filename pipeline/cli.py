@@ -31,6 +31,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         _say(f"{type(error).__name__}: {error}")
         return error.exit_code
+    except MemoryError as error:
+        if options.debug:
+            raise
+        _say(f"PipelineError: the memory does not suffice ({error}); try a coarser mesh")
+        return PipelineError.exit_code
     except KeyboardInterrupt as asked:
         _say(str(asked) or "interrupted; frames written so far are complete")
         return INTERRUPTED

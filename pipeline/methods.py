@@ -119,7 +119,7 @@ def _treatment(method: MethodSpec) -> Treatment | None:
 
 def _guarded(stepper: Stepper, body: Body, method: MethodSpec) -> Stepper:
     """Return the stepper, watched unless its energy is bounded by construction."""
-    bounded = body.law.constant_tangent or method.iterations == "converged"
+    bounded = body.law.constant_tangent or (method.model != "auto" and method.iterations == "converged")
     return stepper if bounded else Guarded(body, stepper)
 
 
@@ -146,6 +146,11 @@ DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
         "1, 2, …": "solves a step, each with the rotations before it; 1 is the thesis' method",
         "converged": "Newton to method.tolerance; energy bounded; needs the polar rotation",
     },
+    "method.tangent": {
+        "projected": "for converged: always descends, exact near the end; the default",
+        "exact": "for converged: quadratic near the solution, may fail in compression",
+        "frozen": "for converged: the thesis' stiffness, linear convergence",
+    },
     "method.mass": {
         "consistent": "the element's own mass matrix",
         "lumped": "the same mass on the nodes: a diagonal; what symplectic_euler takes",
@@ -161,6 +166,10 @@ DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
         "banded": "Cholesky of the band, factors every new matrix; fastest on small meshes",
         "superlu": "sparse direct, factors every new matrix",
         "cg": "conjugate gradients with block Jacobi to method.linear_rtol: for small steps",
+    },
+    "mesh.split": {
+        "kuhn": "every cell along the same diagonal",
+        "alternating": "every other cell mirrored: no bias of direction, less locking",
     },
     "mesh.shape": {"box": "tetrahedra, 6 a cell", "rectangle": "triangles, 2 a cell; plane strain"},
 }

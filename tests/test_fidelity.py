@@ -12,6 +12,7 @@ from pipeline.fem.rotation import polar
 from pipeline.fem.supports import rotation_about
 from pipeline.mesh.simplex import signed_volumes
 from pipeline.stepping.fidelity import spurious_volume
+from pipeline.stepping.guard import Guarded
 
 CASES = Path(__file__).resolve().parent.parent / "cases"
 TOLERANCE = 0.01
@@ -97,3 +98,8 @@ def test_a_step_beyond_a_quarter_turn_is_finished_by_newton() -> None:
 def test_auto_needs_an_implicit_stepper() -> None:
     with pytest.raises(CaseError, match=r"method\.model: 'auto' goes with implicit"):
         list(run("beam2d", "explicit", model="auto"))
+
+
+def test_auto_is_watched_whatever_iterations_the_case_had() -> None:
+    case = load_case(CASES / "twisted_bar.toml", overrides={"method.model": "auto"}).variant("converged")
+    assert isinstance(build(case).prepare(), Guarded)
