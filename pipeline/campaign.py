@@ -1,58 +1,25 @@
 """A case to its result folder: every variant solved and recorded, then compared and drawn."""
 
-import json
-import os
-import platform
-import shutil
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
-
-from threadpoolctl import threadpool_limits
 
 from pipeline.build import Problem, build, settled
-from pipeline.case import Case, load_case
-from pipeline.errors import CaseError, OutputError, SolveError
-from pipeline.frame import Frame, Sink, Values
-from pipeline.record_keeping import (
-    CHECKPOINTS,
-    Interrupted,
-    Interruption,
-    continuation,
-    folder_lock,
-    frame_times,
-    interruptible,
-    mesh_digest,
-    next_frame,
-)
-from pipeline.run import RunSummary, frames, record
-from pipeline.series import read_series
+from pipeline.case import Case
+from pipeline.comparison import compare
+from pipeline.errors import CaseError, SolveError
+from pipeline.record_keeping import Interrupted, folder_lock, interruptible, mesh_digest
 from pipeline.sinks.atomic import write_whole
-from pipeline.sinks.checkpoint import Checkpoint, CheckpointFolder
-from pipeline.sinks.netcdf import NetcdfSink
-from pipeline.sinks.vtu import VtuSink
-from pipeline.statistics import joined, read_statistics, write_dataset
-from pipeline.stepping.state import State, Work
+from pipeline.variant_run import (
+    UNFINISHED,
+    Notify,
+    VariantResult,
+    VariantRun,
+    determining,
+    difference,
+    read_run,
+)
 from pipeline.version import VERSION
-
-Status = Literal["finished", "failed", "up to date"]
-Notify = Callable[[str, Problem, Frame, Values, RunSummary], None]
-# of a run that could go on: killed, asked to stop, or stopped by what it could not write
-_DRAWN = ("comparison.mp4", "comparison.png")
-_UNFINISHED = ("running", "interrupted")
-_PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
-
-
-@dataclass(frozen=True)
-class VariantResult:
-    """One variant's folder, how it ended, and its run.json."""
-
-    name: str
-    folder: Path
-    status: Status
-    run: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -101,7 +68,7 @@ def run_campaign(
         results = []
         for name, one in resolved.items():
             if name in todo:
-                solving = _Solving(one, problems[name], folder / name, asked, notify)
+                solving = VariantRun(one, problems[name], folder / name, asked, notify)
                 results.append(solving.result(resume=resume and not force))
             else:
                 results.append(VariantResult(name, folder / name, "up to date", read_run(folder / name)))
@@ -112,286 +79,24 @@ def run_campaign(
     return CampaignResult(folder, tuple(results), tuple(made), tuple(dict.fromkeys([*notes, *more])))
 
 
-def read_run(folder: Path) -> dict[str, Any]:
-    """Return a variant's run.json, {} where there is none; raises OutputError where it cannot be read."""
-    path = folder / "run.json"
-    try:
-        run = json.loads(path.read_text())
-    except FileNotFoundError:
-        return {}
-    except NotADirectoryError as error:
-        raise OutputError(f"{path}: part of this path is a file, not a folder") from error
-    except (OSError, ValueError) as error:
-        raise OutputError(f"{path}: cannot be read ({error}); remove it or use --force") from error
-    if not (isinstance(run, dict) and {"status", "case", "versions"} <= run.keys()):
-        raise OutputError(f"{path}: cannot be read (not the record of a run); remove it or use --force")
-    return run
-
-
 def _must_solve(case: Case, problem: Problem, folder: Path, *, force: bool, resume: bool) -> bool:
     """Return whether a variant is to be solved; raises CaseError where that would overwrite without leave."""
     run = {} if force else read_run(folder)
     if not run:
         return True
-    changes = _difference(run.get("case", {}), _solved(case))
+    changes = difference(run.get("case", {}), determining(case))
     if changes:
         raise CaseError(f"{folder}: holds the result of another case ({changes}); --force replaces it, --out avoids it")
-    if run["status"] not in _UNFINISHED:
+    if run["status"] not in UNFINISHED:
         return bool(run["status"] != "finished" or run["versions"]["pipeline"] != VERSION)
     if not resume:
         raise CaseError(
             f"{folder}: an unfinished run of this case; --resume goes on where it stopped, --force starts it again"
         )
-    changes = _difference(
+    changes = difference(
         {"pipeline": run["versions"]["pipeline"], "mesh": run.get("mesh_digest")},
         {"pipeline": VERSION, "mesh": mesh_digest(problem.body.mesh)},
     )
     if changes:
         raise CaseError(f"{folder}: cannot go on with another version or mesh ({changes}); --force starts it again")
     return True
-
-
-def _solved(case: Case) -> dict[str, Any]:
-    """Return the part of a case that its results depend on: all but the movie and the checkpoints."""
-    document = {key: value for key, value in case.as_dict().items() if key != "movie"}
-    document["output"] = {k: v for k, v in document["output"].items() if k != "checkpoint_seconds"}
-    return document
-
-
-def _difference(old: dict[str, Any], new: dict[str, Any]) -> str:
-    """Return the first three keys at which two cases differ, with both values."""
-    before, after = _flat(old), _flat(new)
-    keys = [key for key in {**before, **after} if before.get(key) != after.get(key)]
-    shown = [f"{key}: {before.get(key)} there, {after.get(key)} here" for key in keys[:3]]
-    return "; ".join(shown) + (f"; and {len(keys) - 3} more" if len(keys) > 3 else "")
-
-
-def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
-    if not isinstance(value, dict):
-        return {prefix: value}
-    return {k: v for key, one in value.items() for k, v in _flat(one, f"{prefix}.{key}" if prefix else key).items()}
-
-
-class _Solving:
-    """One variant being solved and recorded, from its start or from a checkpoint."""
-
-    def __init__(
-        self, case: Case, problem: Problem, folder: Path, asked: Interruption, notify: Notify | None = None
-    ) -> None:
-        self.case, self.problem, self.folder, self.asked, self.notify = case, problem, folder, asked, notify
-        self.name = case.variant_name or ""
-        self.summary: RunSummary | None = None
-        self.checkpoints = CheckpointFolder(folder / CHECKPOINTS, seconds=case.output.checkpoint_seconds)
-
-    def result(self, *, resume: bool) -> VariantResult:
-        """Return how it ended; a SolveError is a result, kept in run.json, as is an end that comes too early."""
-        run, began = self._opened(resume=resume)
-        status: Status = "finished"
-        try:
-            self._record(began)
-        except SolveError as error:
-            status = "failed"
-            run["message"] = str(error)
-        except (Interrupted, OutputError) as error:
-            with suppress(OutputError):  # the disk may be full; "running" can be resumed as well
-                self._close(run | {"message": str(error)}, "interrupted")
-            raise
-        run = self._close(run, status)
-        self.checkpoints.remove()
-        return VariantResult(self.name, self.folder, status, run)
-
-    def _opened(self, *, resume: bool) -> tuple[dict[str, Any], Checkpoint | None]:
-        """Return the run.json of a run that begins, and the checkpoint that it goes on from."""
-        old = read_run(self.folder) if resume else {}
-        run = _opening(self.case, self.problem)
-        began = None
-        if old.get("status") in _UNFINISHED:
-            began, notes = continuation(self.folder, self.problem, title=self._title)
-            run["notes"] += notes + _other_packages(old, run)
-        if began is None:
-            _clear(self.folder)
-        else:
-            self.summary = began.summary
-            run["resumed_after_steps"] = [*old.get("resumed_after_steps", ()), began.state.step]
-        write_whole(self.folder / "case.toml", self.case.to_toml(self.folder))
-        write_whole(self.folder / "run.json", _json(run))
-        return run, began
-
-    def _record(self, began: Checkpoint | None) -> None:
-        written = next_frame(began, self.problem) if began else 0
-        sinks: list[Sink] = [
-            VtuSink(self.folder, earlier=frame_times(written, self.problem)),
-            NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
-        ]
-        start, begun = (began.state, began.work) if began else (None, None)
-        self.asked.solving = True
-        try:
-            # small dense factors gain nothing from BLAS threads, and stall where cores are shared
-            with threadpool_limits(limits=1, user_api="blas"):
-                source = frames(self.problem, start, begun=begun, after_step=self._after_step)
-                record(source, sinks, on_frame=self._on_frame, before=self.summary)
-        finally:
-            self.asked.solving = False
-
-    def _on_frame(self, frame: Frame, measured: Values, summary: RunSummary) -> None:
-        self.summary = summary
-        if self.notify is not None:
-            self.notify(self.name, self.problem, frame, measured, summary)
-
-    def _after_step(self, state: State, work: Work) -> None:
-        """Write a checkpoint where one is due; raises Interrupted where an end was asked for."""
-        if self.summary is not None and (self.asked.requested or self.checkpoints.due()):
-            self.checkpoints.write(Checkpoint(state, work, self.summary))
-        if self.asked.requested:
-            raise Interrupted(
-                f"interrupted after step {state.step} of {self.name}; the same command with --resume goes on from there"
-            )
-
-    def _close(self, run: dict[str, Any], status: str) -> dict[str, Any]:
-        """Return the run.json of a run that ended, and write it."""
-        run = run | {"status": status} | (_closing(self.summary, self.problem) if self.summary else {})
-        write_whole(self.folder / "run.json", _json(run))
-        return run
-
-    @property
-    def _title(self) -> str:
-        return f"{self.case.name}: {self.name}"
-
-
-def _other_packages(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
-    """Return a note where packages or the machine changed before a run was resumed."""
-    changes = _difference(*({"versions": run["versions"], "machine": run["machine"]} for run in (old, new)))
-    return [f"resumed with other packages or on another machine ({changes}): digits may differ"] if changes else []
-
-
-def _clear(folder: Path) -> None:
-    """Remove what an earlier run left, and nothing else."""
-    try:
-        # the record first: without it, what a kill leaves of the rest is cleared again and never resumed
-        for name in ("run.json", "case.toml", "series.pvd", "statistics.nc"):
-            (folder / name).unlink(missing_ok=True)
-        for name in (CHECKPOINTS, "frames"):
-            shutil.rmtree(folder / name, ignore_errors=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be cleared ({error.strerror})") from error
-
-
-def _opening(case: Case, problem: Problem) -> dict[str, Any]:
-    from importlib.metadata import version
-
-    return {
-        "name": case.name,
-        "variant": case.variant_name,
-        "status": "running",
-        "case": _solved(case),
-        "notes": list(problem.notes),
-        "versions": {"pipeline": VERSION, "python": platform.python_version()}
-        | {package: version(package) for package in _PACKAGES},
-        "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
-        "cells": len(problem.body.mesh.cells),
-        "nodes": len(problem.body.mesh.points),
-        "mesh_digest": mesh_digest(problem.body.mesh),
-    }
-
-
-def _closing(summary: RunSummary, problem: Problem) -> dict[str, Any]:
-    per_step = summary.seconds_per_step
-    counts = {k: getattr(summary.work, k) for k in ("steps", "solves", "iterations", "factorisations", "rotations")}
-    return {
-        "frames": summary.frames,
-        "last_frame": {"index": summary.frames - 1, "step": summary.steps, "time": summary.time},
-        "worst": {
-            "volume_ratio": summary.worst_volume_ratio,
-            "cell": summary.worst_cell,
-            "time": summary.worst_time,
-        },
-        "work": counts,
-        "seconds": {
-            "setup": summary.setup_seconds,
-            "solving": summary.work.seconds,
-            "writing": summary.writing_seconds,
-        },
-        "seconds_per_step": per_step if summary.work.steps else None,
-        # simulated seconds a second of solving: above 1 is faster than the motion
-        "real_time_factor": problem.dt / per_step if summary.work.steps else None,
-    }
-
-
-def _json(run: dict[str, Any]) -> str:
-    return json.dumps(run, indent=2, allow_nan=False) + "\n"
-
-
-def compare(
-    case: Case,
-    folder: Path,
-    *,
-    movie: bool,
-    fresh: bool = True,
-    on_drawing: Callable[[int, int], None] | None = None,
-) -> tuple[list[Path], list[str]]:
-    """Join and draw every variant in the folder that is a result of this case; return the files made and notes."""
-    usable = [name for name, run in _recorded(case, folder).items() if run["status"] not in _UNFINISHED]
-    if not usable:
-        return [], ["no variant left a frame: nothing to compare"]
-    paths = {n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png")}
-    if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in _DRAWN):
-        return [], []
-    for stale in _DRAWN:
-        paths[stale].unlink(missing_ok=True)
-    title = case.movie.title or case.name.replace("_", " ")
-    dataset, notes = joined({name: read_statistics(folder / name / "statistics.nc") for name in usable}, title=title)
-    write_dataset(dataset, paths["comparison.nc"])
-    from pipeline.views.plots import energy_figure, volume_figure
-
-    volume_figure(dataset, paths["volume.png"], title=title)
-    energy_figure(dataset, paths["energy.png"], title=title)
-    made = [paths["comparison.nc"], paths["volume.png"], paths["energy.png"]]
-    shown = [name for name in case.movie.variants if name in usable]
-    if movie and shown:
-        try:
-            draw_movie(case, folder, shown, on_drawing=on_drawing)
-            made += [paths["comparison.mp4"], paths["comparison.png"]]
-        except OutputError as error:
-            notes.append(str(error))
-    return made, notes
-
-
-def draw_movie(
-    case: Case, folder: Path, shown: Sequence[str], *, on_drawing: Callable[[int, int], None] | None = None
-) -> Path:
-    """Draw comparison.mp4 and comparison.png of the variants' recorded frames; raises OutputError without OpenGL."""
-    from pipeline.views.movie import write_movie
-
-    path = folder / "comparison.mp4"
-    write_movie(
-        [replace(read_series(folder / name), name=name) for name in shown],
-        [name.replace("_", " ") for name in shown],
-        path,
-        title=case.movie.title or case.name.replace("_", " "),
-        poster=folder / "comparison.png",
-        speed=case.movie.speed,
-        fps=case.movie.fps,
-        size=(case.movie.size[0], case.movie.size[1]),
-        on_frame=on_drawing,
-    )
-    return path
-
-
-def _recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
-    """Return run.json of every variant that has frames of this very case, by name."""
-    runs = {name: read_run(folder / name) for name in case.variant_names}
-    return {
-        name: run
-        for name, run in runs.items()
-        if run.get("frames") and run["case"] == _solved(settled(case.variant(name)))
-    }
-
-
-def movie_of_folder(folder: Path, *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
-    """Draw the movie of a result folder again, from its frames alone; raises PipelineError where it is not one."""
-    case = load_case(folder / "case.toml")
-    recorded = _recorded(case, folder)
-    shown = [name for name in case.movie.variants if name in recorded]
-    if not shown:
-        raise OutputError(f"{folder}: none of {', '.join(case.movie.variants)} has a recorded frame of this case")
-    return draw_movie(case, folder, shown, on_drawing=on_drawing)

@@ -196,7 +196,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _movie(options: argparse.Namespace) -> int:
-    from pipeline.campaign import movie_of_folder
+    from pipeline.comparison import movie_of_folder
 
     with _progress(options.quiet) as bar:
         path = movie_of_folder(options.folder, on_drawing=bar.drawn)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray
 
-from pipeline import campaign
+from pipeline import campaign, variant_run
 from pipeline.build import Problem
 from pipeline.campaign import CampaignResult, run_campaign
 from pipeline.case import load_case
@@ -146,7 +146,7 @@ def test_a_finished_variant_of_the_same_case_is_up_to_date(out, monkeypatch):
     def never(problem):
         raise AssertionError("solved again")
 
-    monkeypatch.setattr(campaign, "frames", never)
+    monkeypatch.setattr(variant_run, "frames", never)
     again = solve(out)
     assert statuses(again) == dict.fromkeys(VARIANTS, "up to date") and again.exit_code == 0
     assert contents(out) == before

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray
 
-from pipeline import campaign, record_keeping
+from pipeline import campaign, record_keeping, variant_run
 from pipeline.campaign import CampaignResult, run_campaign
 from pipeline.case import load_case
 from pipeline.cli import main
@@ -88,7 +88,7 @@ def solve(path: Path, out: Path, **keywords) -> CampaignResult:
 
 def stopped_after(path: Path, out: Path, step: int, monkeypatch, **keywords) -> Path:
     """The variant's folder of a run that got SIGINT while a step was under way."""
-    genuine = campaign._Solving._after_step
+    genuine = variant_run.VariantRun._after_step
 
     def asking(self, state, work):
         if state.step == step:
@@ -96,7 +96,7 @@ def stopped_after(path: Path, out: Path, step: int, monkeypatch, **keywords) -> 
         genuine(self, state, work)
 
     with monkeypatch.context() as patch:
-        patch.setattr(campaign._Solving, "_after_step", asking)
+        patch.setattr(variant_run.VariantRun, "_after_step", asking)
         with pytest.raises(Interrupted, match=rf"interrupted after step {step} of only; .*--resume"):
             solve(path, out, **keywords)
     return out / "beam" / "only"
@@ -229,7 +229,7 @@ def test_a_second_signal_does_not_wait_for_the_step(tmp_path, monkeypatch):
         for _ in range(2):
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(campaign._Solving, "_after_step", impatient)
+    monkeypatch.setattr(variant_run.VariantRun, "_after_step", impatient)
     with pytest.raises(KeyboardInterrupt) as caught:
         solve(written(tmp_path), tmp_path / "out")
     assert not isinstance(caught.value, Interrupted)
@@ -408,7 +408,7 @@ def test_a_lock_file_that_was_removed_while_it_was_waited_for_is_made_again(tmp_
 
 
 def test_output_removed_while_it_is_written_is_an_error_or_made_again_never_a_traceback(tmp_path, monkeypatch):
-    genuine = campaign._Solving._on_frame
+    genuine = variant_run.VariantRun._on_frame
 
     def removing(self, frame, measured, summary):
         genuine(self, frame, measured, summary)
@@ -418,7 +418,7 @@ def test_output_removed_while_it_is_written_is_an_error_or_made_again_never_a_tr
     path = written(tmp_path)
     whole = solve(path, tmp_path / "whole").variants[0]
     with monkeypatch.context() as patch:
-        patch.setattr(campaign._Solving, "_on_frame", removing)
+        patch.setattr(variant_run.VariantRun, "_on_frame", removing)
         code = main(["run", str(path), "--out", str(tmp_path / "out"), "--no-movie", "--quiet"])
     assert code in (2, 4)
     assert solve(path, tmp_path / "out", force=True).variants[0].status == "finished"

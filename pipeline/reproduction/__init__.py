@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.build import build
-from pipeline.campaign import Notify, run_campaign
+from pipeline.campaign import run_campaign
 from pipeline.case import load_case
 from pipeline.errors import SolveError
 from pipeline.reproduction.measured import Scene, scene_of
@@ -16,6 +16,7 @@ from pipeline.reproduction.page import html, markdown
 from pipeline.reproduction.published import AS_PRINTED, PLANAR_SCENE, SCENES
 from pipeline.reproduction.report import KINDS, Report, make_report
 from pipeline.sinks.atomic import write_whole
+from pipeline.variant_run import Notify
 
 ALL_SCENES = (*(name + ending for name in SCENES for ending in (AS_PRINTED, "")), PLANAR_SCENE)
 

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.campaign import CampaignResult, VariantResult
+from pipeline.campaign import CampaignResult
 from pipeline.case import Case
 from pipeline.statistics import read_statistics
+from pipeline.variant_run import VariantResult
 
 
 @dataclass(frozen=True)

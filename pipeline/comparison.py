@@ -1,0 +1,91 @@
+"""Every finished variant of a case side by side: comparison.nc, plots and the movie."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.build import settled
+from pipeline.case import Case, load_case
+from pipeline.errors import OutputError
+from pipeline.series import read_series
+from pipeline.statistics import joined, read_statistics, write_dataset
+from pipeline.variant_run import UNFINISHED, determining, read_run
+
+_DRAWN = ("comparison.mp4", "comparison.png")
+
+
+def compare(
+    case: Case,
+    folder: Path,
+    *,
+    movie: bool,
+    fresh: bool = True,
+    on_drawing: Callable[[int, int], None] | None = None,
+) -> tuple[list[Path], list[str]]:
+    """Join and draw every variant in the folder that is a result of this case; return the files made and notes."""
+    usable = [name for name, run in _recorded(case, folder).items() if run["status"] not in UNFINISHED]
+    if not usable:
+        return [], ["no variant left a frame: nothing to compare"]
+    paths = {n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png")}
+    if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in _DRAWN):
+        return [], []
+    for stale in _DRAWN:
+        paths[stale].unlink(missing_ok=True)
+    title = case.movie.title or case.name.replace("_", " ")
+    dataset, notes = joined({name: read_statistics(folder / name / "statistics.nc") for name in usable}, title=title)
+    write_dataset(dataset, paths["comparison.nc"])
+    from pipeline.views.plots import energy_figure, volume_figure
+
+    volume_figure(dataset, paths["volume.png"], title=title)
+    energy_figure(dataset, paths["energy.png"], title=title)
+    made = [paths["comparison.nc"], paths["volume.png"], paths["energy.png"]]
+    shown = [name for name in case.movie.variants if name in usable]
+    if movie and shown:
+        try:
+            draw_movie(case, folder, shown, on_drawing=on_drawing)
+            made += [paths["comparison.mp4"], paths["comparison.png"]]
+        except OutputError as error:
+            notes.append(str(error))
+    return made, notes
+
+
+def draw_movie(
+    case: Case, folder: Path, shown: Sequence[str], *, on_drawing: Callable[[int, int], None] | None = None
+) -> Path:
+    """Draw comparison.mp4 and comparison.png of the variants' recorded frames; raises OutputError without OpenGL."""
+    from pipeline.views.movie import write_movie
+
+    path = folder / "comparison.mp4"
+    write_movie(
+        [replace(read_series(folder / name), name=name) for name in shown],
+        [name.replace("_", " ") for name in shown],
+        path,
+        title=case.movie.title or case.name.replace("_", " "),
+        poster=folder / "comparison.png",
+        speed=case.movie.speed,
+        fps=case.movie.fps,
+        size=(case.movie.size[0], case.movie.size[1]),
+        on_frame=on_drawing,
+    )
+    return path
+
+
+def _recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
+    """Return run.json of every variant that has frames of this very case, by name."""
+    runs = {name: read_run(folder / name) for name in case.variant_names}
+    return {
+        name: run
+        for name, run in runs.items()
+        if run.get("frames") and run["case"] == determining(settled(case.variant(name)))
+    }
+
+
+def movie_of_folder(folder: Path, *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
+    """Draw the movie of a result folder again, from its frames alone; raises PipelineError where it is not one."""
+    case = load_case(folder / "case.toml")
+    recorded = _recorded(case, folder)
+    shown = [name for name in case.movie.variants if name in recorded]
+    if not shown:
+        raise OutputError(f"{folder}: none of {', '.join(case.movie.variants)} has a recorded frame of this case")
+    return draw_movie(case, folder, shown, on_drawing=on_drawing)
