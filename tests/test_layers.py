@@ -100,7 +100,7 @@ def test_imports_come_from_rooms_above(path):
 @pytest.mark.parametrize("path", FILES, ids=module_name)
 def test_only_the_command_line_prints_and_exits(path):
     name = module_name(path)
-    if name in ("pipeline.cli", "pipeline.__main__"):
+    if room(name) in ("cli", "__main__"):
         return
     tree = without_main(parse(path)) if name == "pipeline.opengl" else parse(path)
     calls = [(n.lineno, ast.unparse(n.func)) for n in ast.walk(tree) if isinstance(n, ast.Call)]

@@ -1,0 +1,50 @@
+"""The command line: the only place that prints, draws progress, configures logging or exits."""
+
+import argparse
+import logging
+import os
+from collections.abc import Sequence
+
+from pipeline.cli import scenes, series
+from pipeline.cli.terminal import say
+from pipeline.errors import PipelineError
+from pipeline.version import VERSION
+
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    options = _parser().parse_args(arguments)
+    logging.basicConfig(level=logging.DEBUG if options.verbose else logging.WARNING, format="%(name)s: %(message)s")
+    try:
+        return int(options.run(options))
+    except PipelineError as error:
+        if options.debug:
+            raise
+        say(f"{type(error).__name__}: {error}")
+        return error.exit_code
+    except MemoryError as error:
+        if options.debug:
+            raise
+        say(f"PipelineError: the memory does not suffice ({error}); try a coarser mesh")
+        return PipelineError.exit_code
+    except BrokenPipeError:  # who read the output has enough of it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 0
+    except KeyboardInterrupt as asked:
+        say(str(asked) or "interrupted; frames written so far are complete")
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("-v", "--verbose", action="store_true", help="log what is done")
+    common.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    common.add_argument("--quiet", action="store_true", help="no progress bar, no summary")
+    parser = argparse.ArgumentParser(prog="pipeline", description="Volume drift of deformable solids.")
+    parser.add_argument("--version", action="version", version=f"pipeline {VERSION}")
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    for module in (scenes, series):
+        module.add_verbs(verbs, common)
+    return parser

@@ -1,0 +1,166 @@
+"""The verbs for cases and their results: run, check, movie, reproduce, methods."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from pipeline.case import Case, load_case, parse_override
+from pipeline.cli.terminal import progress, say
+
+
+def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
+    """Add what runs cases and shows what came of them."""
+    scene = argparse.ArgumentParser(add_help=False)
+    scene.add_argument("case", metavar="CASE", type=Path, help="a case file, such as cases/bar.toml")
+    scene.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
+                       help="change a key, such as schedule.dt=0.01; may be repeated")  # fmt: skip
+    scene.add_argument("--variant", dest="variants", metavar="NAME", action="append", default=[],
+                       help="only this variant; may be repeated")  # fmt: skip
+    scene.add_argument("--steps", type=int, metavar="N", help="cut the schedule to N steps")
+
+    run = verbs.add_parser("run", parents=[common, scene], help="solve a case; write frames, statistics and a movie")
+    run.add_argument("--out", type=Path, default=Path("outputs"), metavar="DIR", help="where results go (outputs)")
+    run.add_argument("--no-movie", action="store_true", help="no movie, so no OpenGL")
+    over = run.add_mutually_exclusive_group()
+    over.add_argument("--force", action="store_true", help="solve again and replace what is there")
+    over.add_argument("--resume", action="store_true", help="go on with an unfinished run where it stopped")
+    run.add_argument("--json", action="store_true", help="print the summary as JSON, and nothing else")
+    run.set_defaults(run=_run)
+
+    check = verbs.add_parser("check", parents=[common, scene], help="what can be known of a case before solving it")
+    check.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    check.set_defaults(run=_check)
+
+    movie = verbs.add_parser("movie", parents=[common], help="draw the movie of a result folder again")
+    movie.add_argument("folder", metavar="FOLDER", type=Path, help="a result folder, such as outputs/bar")
+    movie.set_defaults(run=_movie)
+
+    again = verbs.add_parser("reproduce", parents=[common], help="run the seeds' scenes; say what of them holds")
+    again.add_argument("--cases", type=Path, default=Path("cases"), metavar="DIR", help="where the cases are (cases)")
+    again.add_argument("--out", type=Path, default=Path("outputs"), metavar="DIR", help="where results go (outputs)")
+    again.add_argument("--force", action="store_true", help="solve again and replace what is there")
+    again.set_defaults(run=_reproduce)
+
+    methods = verbs.add_parser("methods", parents=[common], help="what a case may choose from")
+    methods.set_defaults(run=_methods)
+
+
+def loaded_case(options: argparse.Namespace) -> Case:
+    """Return the case that the options name and change."""
+    return load_case(
+        options.case, overrides=dict(parse_override(text) for text in options.overrides), steps=options.steps
+    )
+
+
+def _run(options: argparse.Namespace) -> int:
+    from pipeline.campaign import run_campaign
+
+    case = loaded_case(options)
+    quiet = options.quiet or options.json
+    with progress(quiet) as bar:
+        result = run_campaign(
+            case,
+            options.out,
+            variants=options.variants,
+            force=options.force,
+            resume=options.resume,
+            movie=not options.no_movie,
+            notify=bar.solved,
+            on_drawing=bar.drawn,
+        )
+    if options.json:
+        summary = {
+            "folder": str(result.folder),
+            "variants": {v.name: v.run | {"status": v.status} for v in result.variants},
+            "made": [str(path) for path in result.made],
+            "notes": list(result.notes),
+        }
+        print(json.dumps(summary, indent=2))
+    for v in result.variants:
+        if v.status == "failed":
+            say(f"SolveError: {v.name}: {v.run['message']}; its frames before that are in {v.folder}")
+    if not quiet:
+        _print_summary(result)
+    elif not options.json:
+        for note in result.notes:
+            say(f"note: {note}")
+    return result.exit_code
+
+
+def _print_summary(result: Any) -> None:
+    """Print a line a variant, the notes and where things are."""
+    for v in result.variants:
+        worst = v.run.get("worst")
+        if v.status == "up to date":
+            print(f"{v.name:<14} up to date (--force solves again)")
+        elif worst and v.run["seconds_per_step"]:
+            print(
+                f"{v.name:<14} {v.status}; worst volume ratio {worst['volume_ratio']:.4f} (cell {worst['cell']}, "
+                f"t = {worst['time']:.4g} s); {1e3 * v.run['seconds_per_step']:.3g} ms a step, "
+                f"{v.run['real_time_factor']:.3g} x real time; solving {v.run['seconds']['solving']:.2g} s, "
+                f"writing {v.run['seconds']['writing']:.2g} s"
+            )
+        else:
+            print(f"{v.name:<14} {v.status}")
+    for note in result.notes:
+        print(f"note: {note}")
+    print(f"results in {result.folder}" + "".join(f"\n  {path.name}" for path in result.made))
+    for v in result.variants:
+        print(f"  {v.name}/series.pvd")
+
+
+def _check(options: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from pipeline.build import build
+    from pipeline.check import check, lines
+
+    case = loaded_case(options)
+    problems = {name: build(case.variant(name)) for name in options.variants or case.variant_names}
+    found = {name: check(problem) for name, problem in problems.items()}
+    for name, problem in problems.items() if not options.json else ():
+        print(name, *lines(found[name], problem), sep="\n  ")
+    if options.json:
+        finite = {
+            name: {key: value if value == value else None for key, value in asdict(one).items()}
+            for name, one in found.items()
+        }
+        print(json.dumps(finite, indent=2))
+    return 0
+
+
+def _movie(options: argparse.Namespace) -> int:
+    from pipeline.comparison import movie_of_folder
+
+    with progress(options.quiet) as bar:
+        path = movie_of_folder(options.folder, on_drawing=bar.drawn)
+    if not options.quiet:
+        print(path)
+    return 0
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    from pipeline.reproduction import reproduce
+
+    with progress(options.quiet) as bar:
+        result = reproduce(
+            options.cases,
+            options.out,
+            force=options.force,
+            notify=lambda _, problem, *rest: bar.solved(problem.name.split("/")[0], problem, *rest),
+            on_drawing=bar.drawn,
+        )
+    for name in result.failed:
+        say(f"SolveError: {name}: see {result.markdown}")
+    if not options.quiet:
+        print(result.summary, result.html, result.markdown, sep="\n")
+    return result.exit_code
+
+
+def _methods(options: argparse.Namespace) -> int:
+    from pipeline.methods import DESCRIPTIONS
+
+    for key, rows in DESCRIPTIONS.items():
+        print(key, *(f"{name:<18} {text}" for name, text in rows.items()), sep="\n  ")
+    return 0

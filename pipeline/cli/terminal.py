@@ -1,0 +1,70 @@
+"""What the terminal shows: lines on standard error and progress bars."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from pipeline.build import Problem
+from pipeline.frame import Frame, Values
+from pipeline.run import RunSummary
+
+
+def say(line: str) -> None:
+    """Print a line on standard error."""
+    print(line, file=sys.stderr)
+
+
+class Bars:
+    """A bar a variant, with steps a second, time left and the worst volume ratio; and one for the movie."""
+
+    def __init__(self, display: Any) -> None:
+        self._display = display
+        self._tasks: dict[str, Any] = {}
+
+    def solved(self, name: str, problem: Problem, frame: Frame, measured: Values, summary: RunSummary) -> None:
+        """Show a frame of a variant."""
+        total = problem.frames * problem.steps_per_frame
+        wall = summary.work.seconds + summary.writing_seconds
+        rate = f"{summary.steps / wall:6.0f} steps/s" if wall else ""
+        self._show(name, frame.step or 0, total, f"{rate}  worst V/V0 {summary.worst_volume_ratio:.4f}")
+
+    def drawn(self, done: int, total: int) -> None:
+        """Show a frame of the movie."""
+        self._show("movie", done, total, "")
+
+    def read(self, name: str, done: int, total: int) -> None:
+        """Show a frame of a series that is read."""
+        self._show(name, done, total, "")
+
+    def _show(self, name: str, done: int, total: int, text: str) -> None:
+        if self._display is None:
+            return
+        if name not in self._tasks:
+            self._display.start()  # not before there is something to show: an error is one line
+            self._tasks[name] = self._display.add_task(name, total=total, text=text)
+        self._display.update(self._tasks[name], completed=done, total=total, text=text)
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Bars]:
+    """Yield the progress display, on standard error."""
+    if quiet:
+        yield Bars(None)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description:<14}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[text]}"),
+    )
+    display = Progress(*columns, console=Console(stderr=True))
+    try:
+        yield Bars(display)
+    finally:
+        if display.tasks:  # stopping what never started prints an empty line
+            display.stop()
