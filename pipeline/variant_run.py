@@ -37,6 +37,7 @@ Status = Literal["finished", "failed", "up to date"]
 Notify = Callable[[str, Problem, Frame, Values, RunSummary], None]
 # of a run that could go on: killed, asked to stop, or stopped by what it could not write
 UNFINISHED = ("running", "interrupted")
+_COUNTS = ("steps", "solves", "iterations", "linear_iterations", "factorisations", "rotations")
 _PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
 
 
@@ -211,7 +212,7 @@ def _opening(case: Case, problem: Problem) -> dict[str, Any]:
 
 def _closing(summary: RunSummary, problem: Problem) -> dict[str, Any]:
     per_step = summary.seconds_per_step
-    counts = {k: getattr(summary.work, k) for k in ("steps", "solves", "iterations", "factorisations", "rotations")}
+    counts = {k: getattr(summary.work, k) for k in _COUNTS}
     return {
         "frames": summary.frames,
         "last_frame": {"index": summary.frames - 1, "step": summary.steps, "time": summary.time},

@@ -33,13 +33,18 @@ class Body:
         return self.law.material
 
     @cached_property
+    def order(self) -> Ints:
+        """Return the node of every row of a matrix: the free ones, then the held ones."""
+        return np.concatenate([self.free, np.flatnonzero(~self.free_mask)])
+
+    @cached_property
     def assembly(self) -> Assembly:
-        """Return the block pattern of all nodes and the map into it."""
-        return assemble_pattern(self.mesh)
+        """Return the block pattern of all nodes, the free ones first, and the map into it."""
+        return assemble_pattern(self.mesh, self.order)
 
     @property
     def pattern(self) -> BlockPattern:
-        """Return the block pattern of all nodes."""
+        """Return the block pattern of all nodes, the free ones first."""
         return self.assembly.pattern
 
     @cached_property
@@ -55,9 +60,9 @@ class Body:
         return mask
 
     @cached_property
-    def free_pattern(self) -> tuple[BlockPattern, Ints]:
-        """Return the pattern of the free nodes and the index of its blocks in `pattern`."""
-        return self.pattern.restricted(self.free_mask)
+    def free_pattern(self) -> BlockPattern:
+        """Return the pattern of the free nodes; its values are the first of those of `pattern`."""
+        return self.pattern.leading(len(self.free))
 
     @cached_property
     def mass(self) -> Floats:
@@ -68,8 +73,8 @@ class Body:
     @cached_property
     def _nodal_mass(self) -> csr_array:
         """Return the mass matrix without its d-fold repetition (n, n) [kg]."""
-        n = self.pattern.nodes
-        return csr_array((self.mass[:, 0, 0].copy(), self.pattern.indices, self.pattern.indptr), shape=(n, n))
+        d = self.mesh.dimension
+        return csr_array(self.pattern.matrix(self.mass).tocsr()[::d, ::d])
 
     @cached_property
     def lumped_mass(self) -> Floats:
@@ -105,8 +110,23 @@ class Body:
 
     def linearise(self, x: Floats, R: Floats | None = None, kind: Tangent = "frozen") -> tuple[Floats, Floats]:
         """Return the elastic forces (n, d) [N] and the values of K = -df/dx (blocks, d, d) [N/m]."""
+        f, K = np.empty_like(x), np.zeros((self.pattern.blocks, x.shape[1], x.shape[1]))
+        self.add_stiffness(x, 1.0, f, K, R=R, kind=kind)
+        return f, K
+
+    def system(
+        self, x: Floats, h: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
+    ) -> None:
+        """Write the elastic forces into f (n, d) [N] and the values of M + h^2 K into A (blocks, d, d) [kg]."""
+        A[:] = self.mass
+        self.add_stiffness(x, h**2, f, A, R=R, kind=kind)
+
+    def add_stiffness(
+        self, x: Floats, scale: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
+    ) -> None:
+        """Write the elastic forces into f (n, d) and add scale * K to A (blocks, d, d)."""
         F = deformation_gradient(self.mesh, x)
         if R is None:
             R = self.law.rotations(F)
-        f = nodal_forces(self.mesh, self.law.stress(F, R))
-        return f, self.assembly.sum_blocks(stiffness_blocks(self.mesh, self.law.tangent(F, R, kind)))
+        f[:] = nodal_forces(self.mesh, self.law.stress(F, R))
+        A += scale * self.assembly.sum_blocks(stiffness_blocks(self.mesh, self.law.tangent(F, R, kind)))

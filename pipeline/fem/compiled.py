@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.fem.assembly import corners_by_row
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Corotational, Law, Tangent
 from pipeline.fem.rotation import polar
@@ -22,19 +23,27 @@ def make_body(
     return (CompiledBody if compiled else Body)(mesh, law, supports, load, mass_pairs)
 
 
+_NO_ROTATIONS = np.empty((0, 3, 3))
+
+
 @dataclass(frozen=True, eq=False)
 class CompiledBody(Body):
     """The same numbers as Body, to rounding, from kernels.py."""
 
     @cached_property
     def _cells(self) -> tuple[Any, ...]:
-        """Return what every kernel takes after x: cells, shape gradients, rest volumes, mu, lam."""
-        m = self.material
-        return (self.mesh.cells, self.mesh.shape_gradients, self.mesh.rest_volumes, m.mu, m.lam)
+        """Return what every kernel takes after x: cells, gradients of all but their first corner, volumes, mu, lam.
+
+        The corners of a cell stand in the order of their rows, so that its blocks lie below the diagonal.
+        """
+        m, corners = self.material, corners_by_row(self.mesh, self.order)
+        cells = np.take_along_axis(self.mesh.cells, corners, axis=1)
+        G = np.take_along_axis(self.mesh.shape_gradients, corners[:, 1:, None], axis=1)
+        return (cells.astype(np.int32), G, self.mesh.rest_volumes, m.mu, m.lam)
 
     @cached_property
     def _pairs(self) -> np.ndarray:
-        return self.assembly.pairs.reshape(-1, 4, 4)
+        return self.assembly.pairs.astype(np.int32)
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, 3)."""
@@ -42,13 +51,20 @@ class CompiledBody(Body):
 
         return float(kernels.energy(_plain(x), *self._cells))
 
+    def rotations(self, x: Floats) -> Floats:
+        """Return the polar rotation of every cell (e, 3, 3)."""
+        from pipeline.fem import kernels
+
+        R = np.empty((len(self.mesh.cells), 3, 3))
+        kernels.rotations(_plain(x), *self._cells[:2], R)
+        return R
+
     def nodal_rotations(self, x: Floats) -> Floats:
         """Return the polar rotation of each node's mean gradient (n, 3, 3)."""
         from pipeline.fem import kernels
 
-        n = len(x)
-        sums, R = np.empty((n, 3, 3)), np.empty((n, 3, 3))
-        kernels.nodal_rotations(_plain(x), *self._cells[:3], sums, R)
+        R = np.empty((len(x), 3, 3))
+        kernels.nodal_rotations(_plain(x), *self._cells[:3], R)
         return R
 
     def force(self, x: Floats, R: Floats | None = None) -> Floats:
@@ -61,18 +77,17 @@ class CompiledBody(Body):
         kernels.force(_plain(x), *self._cells, f)
         return f
 
-    def linearise(self, x: Floats, R: Floats | None = None, kind: Tangent = "frozen") -> tuple[Floats, Floats]:
-        """Return the elastic forces (n, 3) [N] and the values of K (blocks, 3, 3) [N/m]; frozen ones are compiled."""
+    def add_stiffness(
+        self, x: Floats, scale: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
+    ) -> None:
+        """Write the elastic forces into f (n, 3) and add scale * K to A (blocks, 3, 3); frozen ones are compiled."""
         if kind != "frozen":
-            return super().linearise(x, R, kind)
+            super().add_stiffness(x, scale, f, A, R=R, kind=kind)
+            return
         from pipeline.fem import kernels
 
-        f = np.empty_like(x)
-        K = np.empty((len(self.pattern.indices), 3, 3))
-        given = R is not None
-        used = np.ascontiguousarray(R) if R is not None else np.empty((len(self.mesh.cells), 3, 3))
-        kernels.linearise(_plain(x), *self._cells, self._pairs, given, used, f, K)
-        return f, K
+        used = _NO_ROTATIONS if R is None else _plain(R)
+        kernels.linearise(_plain(x), *self._cells, self._pairs, scale, R is not None, used, f, A)
 
 
 def _plain(x: Floats) -> Floats:

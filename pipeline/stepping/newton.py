@@ -136,11 +136,9 @@ class Converged:
 
     def _solved(self, x: Floats, r: Floats, kind: Tangent, stage: Stage) -> tuple[Floats, Work]:
         """Return dx (n, d) with (M/h^2 + K) dx = r on the free nodes."""
-        _, K = self.body.linearise(x, kind=kind)
-        work = self.system.update(K, stage.h, x)
-        dx = np.zeros_like(r)
-        free = self.body.free
-        dx[free], solved = self.system.solver.solve(stage.h**2 * r[free], dx[free])
+        work = self.system.linearise(x, stage.h, kind=kind)
+        still = np.zeros_like(r)
+        dx, solved = self.system.solve(stage.h**2 * r, still[self.body.supports.nodes], still)
         return dx, work + solved
 
     def _search(self, x: Floats, dx: Floats, phi: float, slope: float, stage: Stage) -> tuple[Floats, float, bool]:

@@ -28,14 +28,16 @@ class Work:
     """What was done: counts that machines share, and the seconds that they do not.
 
     `rung` and `indicator` say which model the most demanding step needed, and its spurious volume (fidelity.py).
-    `iterations` counts the linear systems' right-hand sides posed (Newton iterations); `solves` the
-    systems solved for them; `seconds` is solving alone, without measuring or writing.
+    `iterations` counts the linear systems' right-hand sides posed (Newton iterations), `solves` the systems solved for
+    them, `linear_iterations` what iterative solvers took for it; `seconds` is solving alone, without measuring or
+    writing.
     """
 
     steps: int = 0
     solves: int = 0
     iterations: int = 0
     factorisations: int = 0
+    linear_iterations: int = 0
     rotations: int = 0
     seconds: float = 0.0
     rung: int = 0
