@@ -22,6 +22,22 @@ def product(indptr, indices, A, x, y):
 
 
 @njit(cache=True, error_model="numpy")
+def scalar_product(indptr, indices, order, m, x, y):
+    """Write the product of a symmetric matrix of numbers with x (n, d) into y; both in the order of the nodes."""
+    y[:] = 0.0
+    for row in range(len(indptr) - 1):
+        i = order[row]
+        last = indptr[row + 1] - 1
+        for a in range(x.shape[1]):
+            y[i, a] += m[last] * x[i, a]
+        for k in range(indptr[row], last):
+            j = order[indices[k]]
+            for a in range(x.shape[1]):
+                y[i, a] += m[k] * x[j, a]
+                y[j, a] += m[k] * x[i, a]
+
+
+@njit(cache=True, error_model="numpy")
 def _product_in_space(indptr, indices, A, x, y):
     """Write the product for d = 3; written out, it runs at the speed at which A is read."""
     for i in range(len(indptr) - 1):

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
 from pipeline.fem.element import deformation_gradient, nodal_forces, nodal_sums, stiffness_blocks
@@ -67,14 +66,12 @@ class Body:
     @cached_property
     def mass(self) -> Floats:
         """Return the mass matrix' values (blocks, d, d) [kg]."""
-        pairs = self.assembly.sum_scalars(self.mass_pairs(self.mesh, self.material.density))
-        return pairs[:, None, None] * np.eye(self.mesh.dimension)
+        return self._nodal_mass[:, None, None] * np.eye(self.mesh.dimension)
 
     @cached_property
-    def _nodal_mass(self) -> csr_array:
-        """Return the mass matrix without its d-fold repetition (n, n) [kg]."""
-        d = self.mesh.dimension
-        return csr_array(self.pattern.matrix(self.mass).tocsr()[::d, ::d])
+    def _nodal_mass(self) -> Floats:
+        """Return the mass matrix' values without their d-fold repetition (blocks,) [kg]."""
+        return self.assembly.sum_scalars(self.mass_pairs(self.mesh, self.material.density))
 
     @cached_property
     def lumped_mass(self) -> Floats:
@@ -83,9 +80,14 @@ class Body:
 
     def momentum(self, v: Floats) -> Floats:
         """Return M v (n, d) [kg m/s]; lumped masses need no matrix."""
+        out = np.empty_like(v)
         if self.mass_pairs is lumped_mass_pairs:
-            return self.lumped_mass[:, None] * v
-        return np.asarray(self._nodal_mass @ v)
+            return np.multiply(self.lumped_mass[:, None], v, out=out)
+        from pipeline.fem.block_kernels import scalar_product
+
+        pattern = self.pattern
+        scalar_product(pattern.indptr, pattern.indices, pattern.order, self._nodal_mass, np.ascontiguousarray(v), out)
+        return out
 
     def rotations(self, x: Floats) -> Floats:
         """Return the law's frame of every cell (e, d, d) at positions x (n, d)."""

@@ -34,7 +34,6 @@ class Band:
         self.width, self.size = int((row - column).max()) + 1, d * n
         # entry (i, j) stands at [i - j, j]; column-major, as pbtrf wants it
         self._target = ((row - column) + self.width * column).ravel()[self._taken]
-        self._entries = np.empty(len(self._taken))
 
     @property
     def megabytes(self) -> float:
@@ -43,9 +42,9 @@ class Band:
 
     def filled(self, values: Floats, into: np.ndarray) -> np.ndarray:
         """Write the values (blocks, d, d) into a band (size, width) and return it as LAPACK's (width, size)."""
-        flat = into.reshape(-1)
-        flat[:] = 0.0
-        flat[self._target] = values.reshape(-1).take(self._taken, out=self._entries)
+        from pipeline.stepping.kernels import fill
+
+        fill(values.reshape(-1), self._taken, self._target, into.reshape(-1))
         return into.T
 
     def factored(self, values: Floats, dtype: type) -> np.ndarray:

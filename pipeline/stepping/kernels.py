@@ -5,6 +5,14 @@ from numba import njit
 
 
 @njit(cache=True, error_model="numpy")
+def fill(values, taken, target, band):
+    """Write values[taken] to band[target], both flat, and zero elsewhere."""
+    band[:] = 0.0
+    for k in range(len(taken)):
+        band[target[k]] = values[taken[k]]
+
+
+@njit(cache=True, error_model="numpy")
 def dot(a, b):
     """Return a . b."""
     total = 0.0

@@ -1,7 +1,7 @@
 """What a stepper carries from step to step, and what it counts."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -44,9 +44,13 @@ class Work:
     indicator: float = 0.0
 
     def __add__(self, other: "Work") -> "Work":
-        added = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}
-        largest = {name: max(getattr(self, name), getattr(other, name)) for name in ("rung", "indicator")}
-        return Work(**{**added, **largest})
+        mine, theirs = self.__dict__, other.__dict__
+        return Work(
+            **{name: max(mine[name], theirs[name]) if name in _LARGEST else mine[name] + theirs[name] for name in mine}
+        )
+
+
+_LARGEST = ("rung", "indicator")
 
 
 class Stepper(Protocol):
