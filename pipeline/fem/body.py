@@ -13,6 +13,7 @@ from pipeline.fem.loads import lumped_mass_pairs
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
+from pipeline.fem.turning import Turning, turning
 from pipeline.mesh.simplex import Floats, Ints, Mesh
 
 
@@ -109,6 +110,13 @@ class Body:
         """Return the elastic forces ON the nodes (n, d) [N], with the rotations R where they are given."""
         F = deformation_gradient(self.mesh, x)
         return nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
+
+    def turning(self, x: Floats, used: Floats, enough: float = 0.0) -> Turning:
+        """Return how far the cells at x have turned from the rotations used (e, d, d), or (1, d, d) for all.
+
+        Where it can be seen without finding the rotations that the indicator is at most `enough`, they are not found.
+        """
+        return turning(self.law, deformation_gradient(self.mesh, x), used)
 
     def linearise(self, x: Floats, R: Floats | None = None, kind: Tangent = "frozen") -> tuple[Floats, Floats]:
         """Return the elastic forces (n, d) [N] and the values of K = -df/dx (blocks, d, d) [N/m]."""

@@ -12,6 +12,7 @@ from pipeline.fem.body import Body
 from pipeline.fem.laws import Corotational, Law, Tangent
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
+from pipeline.fem.turning import Turning, indicator
 from pipeline.mesh.simplex import Floats, Mesh
 
 
@@ -66,6 +67,21 @@ class CompiledBody(Body):
         R = np.empty((len(x), 3, 3))
         kernels.nodal_rotations(_plain(x), *self._cells[:3], R)
         return R
+
+    def turning(self, x: Floats, used: Floats, enough: float = 0.0) -> Turning:
+        """Return how far the cells at x have turned from the rotations used; a bound decides where it can."""
+        from pipeline.fem import turning_kernels
+
+        cells, G, _, mu, lam = self._cells
+        if len(used) == 1 and np.array_equal(used[0], np.eye(3)):
+            tangent, stress = turning_kernels.bounds(_plain(x), cells, G, mu, lam)
+            cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, by that of its half
+            bound = indicator(1 + 2 * cosine, 3, stress, self.material)
+            if bound <= enough:
+                return Turning(bound, None)
+        reached = np.empty((len(cells), 3, 3))
+        trace, stress = turning_kernels.turning(_plain(x), cells, G, mu, lam, _plain(used), reached)
+        return Turning(indicator(trace, 3, stress, self.material), reached)
 
     def force(self, x: Floats, R: Floats | None = None) -> Floats:
         """Return the elastic forces ON the nodes (n, 3) [N]; with given rotations the plain way."""
