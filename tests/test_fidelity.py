@@ -96,7 +96,7 @@ def test_every_scene_is_listed() -> None:
 @pytest.mark.parametrize(("case", "count"), SCENES, ids=[name for name, _ in SCENES])
 def test_no_step_exceeds_the_tolerance_and_the_error_not_twice_that(case: str, count: int, stepper: str) -> None:
     variant = stepper if case == "beam2d" else "converged"
-    keys = {"stepper": stepper, "frames": count, "mass": "consistent"}
+    keys = {"stepper": stepper, "frames": count}
     pairs = zip(
         run(case, variant, model="auto", volume_tolerance=TOLERANCE, **keys),
         run(case, variant, iterations="converged", **keys),
