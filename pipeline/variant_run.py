@@ -28,9 +28,9 @@ from pipeline.record_keeping import (
 from pipeline.run import RunSummary, frames, record
 from pipeline.sinks.atomic import write_whole
 from pipeline.sinks.checkpoint import Checkpoint, CheckpointFolder
+from pipeline.sinks.formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.overlapped import Overlapped
-from pipeline.sinks.vtu import VtuSink
 from pipeline.stepping.state import State, Work
 from pipeline.version import VERSION
 
@@ -38,6 +38,7 @@ Status = Literal["finished", "failed", "up to date"]
 Notify = Callable[[str, Problem, Frame, Values, RunSummary], None]
 # of a run that could go on: killed, asked to stop, or stopped by what it could not write
 UNFINISHED = ("running", "interrupted")
+_ROUNDED = "output.precision = 'float32': statistics.nc cannot be made again from the frames, which are rounded"
 _PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
 
 
@@ -129,7 +130,7 @@ class VariantRun:
         run = _opening(self.case, self.problem)
         began = None
         if old.get("status") in UNFINISHED:
-            began, notes = continuation(self.folder, self.problem, title=self._title)
+            began, notes = continuation(self.folder, self.problem, self.case.output, title=self._title)
             run["notes"] += notes + _other_packages(old, run)
         if began is None:
             _clear(self.folder)
@@ -142,9 +143,10 @@ class VariantRun:
 
     def _record(self, began: Checkpoint | None) -> None:
         written = next_frame(began, self.problem) if began else 0
+        output, times = self.case.output, frame_times(written, self.problem)
         self._writer = Overlapped(
             [
-                VtuSink(self.folder, earlier=frame_times(written, self.problem)),
+                FORMATS[output.format].sink(self.folder, times, output.precision, self.problem.frames + 1),
                 NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
             ]
         )
@@ -194,7 +196,7 @@ def _clear(folder: Path) -> None:
     """Remove what an earlier run left, and nothing else."""
     try:
         # the record first: without it, what a kill leaves of the rest is cleared again and never resumed
-        for name in ("run.json", "case.toml", "series.pvd", "statistics.nc"):
+        for name in ("run.json", "case.toml", *(one.index for one in FORMATS.values()), "statistics.nc"):
             (folder / name).unlink(missing_ok=True)
         for name in (CHECKPOINTS, "frames"):
             shutil.rmtree(folder / name, ignore_errors=True)
@@ -210,7 +212,7 @@ def _opening(case: Case, problem: Problem) -> dict[str, Any]:
         "variant": case.variant_name,
         "status": "running",
         "case": determining(case),
-        "notes": list(problem.notes),
+        "notes": [*problem.notes, *([_ROUNDED] if case.output.precision == "float32" else [])],
         "versions": {"pipeline": VERSION, "python": platform.python_version()}
         | {package: version(package) for package in _PACKAGES},
         "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},

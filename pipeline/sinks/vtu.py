@@ -34,14 +34,14 @@ class VtuSink:
         self.folder = Path(folder)
         self.index = self.folder / "series.pvd"
         self.precision = precision
-        self._listed = [(t, _file(index)) for index, t in enumerate(earlier)]
+        self._listed = [(t, frame_file(index)) for index, t in enumerate(earlier)]
         self._indexed = -np.inf
         self._mesh: Mesh | None = None
         self._cells = self._rest = b""
 
     def write(self, frame: Frame, measured: Values) -> None:
         """Write one frame whole; the index follows within a second."""
-        name = _file(frame.index)
+        name = frame_file(frame.index)
         write_whole(self.folder / name, self._encoded(frame, measured))
         self._listed.append((frame.time, name))
         if time.monotonic() - self._indexed >= _INDEX_SECONDS:
@@ -112,7 +112,8 @@ def _array(name: str, values: NDArray[Any], *, tuples: int | None = None, static
     return b"".join((start.encode(), b64encode(header), b64encode(packed), b"</DataArray>\n"))
 
 
-def _file(index: int) -> str:
+def frame_file(index: int) -> str:
+    """Return the name of a frame's file, within the folder of the run."""
     return f"frames/frame_{index:06d}.vtu"
 
 
