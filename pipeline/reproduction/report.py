@@ -14,7 +14,7 @@ from pipeline.reproduction.damping import mode_damping
 from pipeline.reproduction.figures import law_figure, states_figure
 from pipeline.reproduction.law import Growth, band, linear_growth, step_growth
 from pipeline.reproduction.measured import Outcome, Scene
-from pipeline.reproduction.page import Block, Heading, Paragraph, Picture, Table
+from pipeline.views.blocks import Block, Heading, Paragraph, Picture, Table
 from pipeline.reproduction.published import (
     AS_PRINTED,
     FIGURES,
