@@ -84,8 +84,8 @@ def recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
 def movie_of_folder(folder: Path, *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
     """Draw the movie of a result folder again, from its frames alone; raises PipelineError where it is not one."""
     case = load_case(folder / "case.toml")
-    recorded = recorded(case, folder)
-    shown = [name for name in case.movie.variants if name in recorded]
+    runs = recorded(case, folder)
+    shown = [name for name in case.movie.variants if name in runs]
     if not shown:
         raise OutputError(f"{folder}: none of {', '.join(case.movie.variants)} has a recorded frame of this case")
     return draw_movie(case, folder, shown, on_drawing=on_drawing)

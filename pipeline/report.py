@@ -71,7 +71,7 @@ def report_of_analysis(found: Analysis | Comparison, series: Sequence[Series], c
         for one, source in zip(analyses, series, strict=True)
     )
     movie, poster = (found.folder / f"movie.{ending}" for ending in ("mp4", "png"))
-    closing = [Heading(_AGAIN), Listing(command), Paragraph(f"Measured by corotational-pipeline {VERSION}.")]
+    closing: list[Block] = [Heading(_AGAIN), Listing(command), Paragraph(f"Measured by pipeline {VERSION}.")]
     result = Result(
         ", ".join(side.label for side in sides), sides, closing, found.notes,
         movie if movie in found.made else None, poster if poster in found.made else None,

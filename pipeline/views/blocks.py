@@ -126,7 +126,7 @@ def html_block(block: Block) -> str:
     if isinstance(block, Paragraph):
         return f"<p>{_inline(block.text)}</p>"
     if isinstance(block, Listing):
-        return f'<pre><code>{escape(block.text.rstrip(), quote=False)}</code></pre>'
+        return f"<pre><code>{escape(block.text.rstrip(), quote=False)}</code></pre>"
     if isinstance(block, Picture):
         return (
             f'<figure><img alt="{escape(block.caption)}" src="{data_uri(block.path, "image/png")}">'

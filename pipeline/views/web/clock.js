@@ -72,7 +72,8 @@ const report = (() => {
     button.addEventListener("click", () => {
       stop();
       set(Number(button.dataset.time));
-      document.getElementById("clock").scrollIntoView({ block: "start" });
+      document.getElementById("clock").parentElement.scrollIntoView();
+      slider.focus({ preventScroll: true });
     });
   }
   set(data.start);

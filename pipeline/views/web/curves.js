@@ -6,6 +6,7 @@
   const charts = [];
   const view = { from: report.first, to: report.last };
   const place = document.getElementById("curves");
+  const frames = [...new Set(data.curves.flatMap((curve) => curve.times))].sort((a, b) => a - b);
 
   function make(tag, attributes = {}, text = "") {
     const element = tag === "svg" || SHAPES.has(tag) ? document.createElementNS(SVG, tag) : document.createElement(tag);
@@ -70,13 +71,14 @@
     return [low, high];
   }
 
-  const short = (v) => (v === null ? "none" : Math.abs(v) >= 1e5 ? v.toExponential(3) : String(Number(v.toPrecision(5))));
+  const short = (v) => (v === null ? "none" : Math.abs(v) >= 1e5 ? v.toExponential(3) : String(Number(v.toPrecision(4))));
 
   class Chart {
     constructor(spec) {
       this.spec = spec;
       this.figure = make("figure", { class: "curve" });
-      this.figure.append(make("figcaption", {}, spec.title));
+      this.title = make("figcaption");
+      this.figure.append(this.title);
       const keys = make("div", { class: "keys" });
       for (const part of [...(spec.bands || []), ...spec.lines]) keys.append(this.key(part));
       this.figure.append(keys);
@@ -113,7 +115,10 @@
     timeAt(event) {
       const box = this.svg.getBoundingClientRect();
       const share = (event.clientX - box.left - this.left) / Math.max(this.width - this.left - this.right, 1);
-      return view.from + Math.min(Math.max(share, 0), 1) * (view.to - view.from);
+      const t = view.from + Math.min(Math.max(share, 0), 1) * (view.to - view.from);
+      const i = report.at(frames, t);
+      const next = frames[Math.min(i + 1, frames.length - 1)];
+      return next - t < t - frames[i] ? next : frames[i];
     }
 
     x(t) { return this.left + ((t - view.from) / Math.max(view.to - view.from, 1e-12)) * (this.width - this.left - this.right); }
@@ -135,14 +140,15 @@
       [this.low, this.high] = [low - room, high + room];
       svg.setAttribute("viewBox", `0 0 ${this.width} ${this.height}`);
       svg.replaceChildren();
-      const prefix = spec.unit.startsWith("J") ? [[1e9, "G"], [1e6, "M"], [1e3, "k"]].find(([f]) => Math.max(-low, high) >= f) : null;
-      const [scale, letter] = prefix || [1, ""];
+      const prefixes = spec.unit.startsWith("J") ? [[1e9, "G"], [1e6, "M"], [1e3, "k"]] : [];
+      const [scale, letter] = prefixes.find(([factor]) => Math.max(-low, high) >= factor) || [1, ""];
+      this.scale = scale;
+      this.title.textContent = spec.unit ? `${spec.title} [${letter}${spec.unit}]` : spec.title;
       for (const [value, text] of ticks(this.low / scale, this.high / scale, 5)) {
         const y = this.y(value * scale);
         svg.append(make("line", { x1: this.left, x2: this.width - this.right, y1: y, y2: y, class: "grid" }));
         svg.append(make("text", { x: this.left - 6, y: y + 4, "text-anchor": "end" }, text));
       }
-      svg.append(make("text", { x: 2, y: this.height - 4 }, letter + spec.unit));
       for (const [value, text] of ticks(view.from, view.to, Math.max(2, this.width / 110))) {
         svg.append(make("text", { x: this.x(value), y: this.height - 14, "text-anchor": "middle" }, text));
       }
@@ -180,12 +186,11 @@
       for (const part of [...(this.spec.bands || []), ...this.spec.lines].filter((p) => !p.hidden)) {
         const i = report.at(part.times, t);
         const values = part.low ? [part.low[i], part.high[i]] : [part.values[i]];
-        told.push(`${part.name} ${values.map(short).join(" to ")}`);
+        told.push(`${part.name} ${values.map((v) => short(v === null ? v : v / this.scale)).join(" … ")}`);
         if (part.low || values[0] === null) continue;
         this.cursor.append(make("circle", { cx: this.x(part.times[i]), cy: this.y(values[0]), r: 4, style: `fill: ${part.colour}` }));
       }
-      const unit = this.spec.unit ? ` [${this.spec.unit}]` : "";
-      this.read.textContent = `${report.said(t)}: ${told.join(", ")}${unit}`;
+      this.read.textContent = `${report.said(t)}: ${told.join("; ")}`;
       this.svg.setAttribute("aria-valuenow", t);
       this.svg.setAttribute("aria-valuetext", this.read.textContent);
     }
@@ -205,12 +210,15 @@
     event.preventDefault();
   }
 
-  // show `factor` times as long a time, with the present one where it is
+  // show `factor` times as long a time, about the present one
   function zoom(factor) {
     const whole = report.last - report.first;
     const span = Math.min(Math.max((view.to - view.from) * factor, whole / 1000), whole);
-    const share = Math.min(Math.max((report.time - view.from) / (view.to - view.from || 1), 0), 1);
-    view.from = Math.min(Math.max(report.time - share * span, report.first), report.last - span);
+    look(span);
+  }
+
+  function look(span) {
+    view.from = Math.min(Math.max(report.time - span / 2, report.first), report.last - span);
     view.to = view.from + span;
     redraw();
   }
@@ -240,12 +248,7 @@
   redraw();
   new ResizeObserver(redraw).observe(place);
   report.on((t) => {
-    if (t < view.from || t > view.to) {
-      const span = view.to - view.from;
-      view.from = Math.min(Math.max(t - span / 2, report.first), report.last - span);
-      view.to = view.from + span;
-      redraw();
-    }
+    if (t < view.from || t > view.to) look(view.to - view.from);
     for (const chart of charts) chart.mark(t);
   });
 })();

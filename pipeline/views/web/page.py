@@ -117,23 +117,24 @@ def _summary(result: Result, drawn: Sequence[Mapping[str, Any]], worst: Sequence
     frames = max(len(side.series) for side in result.sides)
     start, end = (f([side.series.times[i] for side in result.sides]) for f, i in ((min, 0), (max, -1)))
     who = f"{len(meshes)} series" if len(meshes) > 1 else "One series"
-    words = [f"{who} of {count} {kind}, {frames} frames from {start:g} to {end:g} s."]
-    words += [_sentence(side.label, d, w[0]) for side, d, w in zip(result.sides, drawn, worst, strict=True)]
+    words = f"{who} of {count} {kind}, {frames} frames from {start:g} to {end:g} s."
+    told = [_sentence(side.label, d, w[0]) for side, d, w in zip(result.sides, drawn, worst, strict=True)]
     keys = list(dict.fromkeys(key for side in result.sides for key in side.facts))
     head = ("series", "smallest V/V₀", "largest V/V₀", "total volume, lowest", "highest", "at the end", *keys)
     rows = [
         (side.label, *_extremes(d), *(side.facts.get(key, "") for key in keys))
         for side, d in zip(result.sides, drawn, strict=True)
     ]
-    return html_block(Paragraph(" ".join(words))) + html_block(Table(head, rows))
+    return html_block(Paragraph(words)) + _list(told) + html_block(Table(head, rows))
 
 
 def _sentence(label: str, drawn: Mapping[str, Any], worst: WorstCell) -> str:
     drift = _finite(drawn["total"])[-1] - 100
     verb = "grows" if worst.volume_ratio > 1 else "shrinks" if worst.volume_ratio > 0 else "is turned inside out"
     return (
-        f"**{label}**: cell {worst.cell} {verb} to {worst.volume_ratio:.4g} times its rest volume at "
-        f"t = {worst.time:.4g} s; in the end the whole body is {drift:+.2g} % off."
+        f"{label}: cell {worst.cell} {verb} to {worst.volume_ratio:.4g} times its rest volume at "
+        f"t = {worst.time:.4g} s; in the end the whole body is {abs(drift):.2g} % "
+        f"{'larger' if drift > 0 else 'smaller'} than at rest."
     )
 
 
@@ -160,7 +161,7 @@ def _film(result: Result, folder: Path) -> str:
     alt = "The moment of the largest change of volume, all series side by side"
     still = f'<img id="poster" class="paper" alt="{alt}" src="{poster}">' if poster else ""
     return (
-        f'<h2 id="{anchor(_MOVIE)}">{_MOVIE}</h2>\n{note}<figure class="film"><video id="movie" controls playsinline '
+        f'{html_block(Heading(_MOVIE))}\n{note}<figure class="film"><video id="movie" controls playsinline '
         f'preload="metadata" aria-label="Movie of all series side by side" src="{source}"></video>{still}</figure>'
     )
 
@@ -170,10 +171,15 @@ def _motion(shown: Solids | None, labels: Sequence[str]) -> str:
     boxes = "".join(
         f'<label><input type="checkbox" value="{i}"> {escape(label)}</label>' for i, label in enumerate(labels)
     )
-    space = "" if shown is None else _asset("solids.html").replace("[BOXES]", boxes)
-    return _asset("motion.html").replace("[TITLE]", f'<h2 id="{anchor(_MOTION)}">{_MOTION}</h2>').replace(
-        "[SOLIDS]", space
-    )  # fmt: skip
+    parts = {
+        "[TITLE]": html_block(Heading(_MOTION)),
+        "[ANCHOR]": anchor(_MOTION),
+        "[SOLIDS]": "" if shown is None else _asset("solids.html").replace("[BOXES]", boxes),
+    }
+    text = _asset("motion.html")
+    for mark, part in parts.items():
+        text = text.replace(mark, part)
+    return text
 
 
 def _worst_table(labels: Sequence[str], worst: Sequence[Sequence[WorstCell]], dimension: int) -> str:

@@ -77,7 +77,8 @@
       const index = report.at(this.body.times, t);
       const shown = this.body.times[index];
       const ended = index === this.body.times.length - 1 && t > shown * (1 + 1e-9) + 1e-12;
-      this.caption.textContent = `${this.body.label}, ${ended ? "ends at " : ""}${report.said(shown)}`;
+      const apart = report.said(shown) === report.said(t) ? "" : ended ? ` (ends at ${report.said(shown)})` : ` (${report.said(shown)})`;
+      this.caption.textContent = this.body.label + apart;
       if (this.k3d && index !== this.shown) this.k3d.setTime(index);
       this.shown = index;
     }

@@ -82,7 +82,8 @@ def _frames_each(series: Sequence[Series]) -> int:
     size = 0
     for one in series:
         faces, _ = surface(one.mesh)
-        size += 4 * len(faces) + 12 * len(np.unique(faces))
+        bodies = 2 if len(faces) <= MOST_EDGES else 1  # the edges are a body of their own
+        size += 4 * len(faces) + 12 * bodies * len(np.unique(faces))
     return max(2, min(MOST_FRAMES, MOST_BYTES // size))
 
 
@@ -143,7 +144,7 @@ def _colour_map(palette: Palette) -> list[float]:
 
 
 def _program() -> str:
-    """Return k3d's viewer, base64 of zlib, without the fonts of formulas: a third of it, and nothing here needs them."""
+    """Return k3d's viewer, base64 of zlib, without its fonts for formulas: a third of it, and nothing here has any."""
     program = files("k3d").joinpath("static/standalone.js").read_bytes()
     program = re.sub(rb"data:font/woff2;base64,[A-Za-z0-9+/=]+", b"data:,", program)
     program = re.sub(rb',url\(fonts/[^)]*\) format\("\w+"\)', b"", program)
