@@ -15,13 +15,16 @@ from pipeline.variant_run import UNFINISHED
 from pipeline.version import VERSION
 from pipeline.views.blocks import Block, Heading, Listing, Paragraph, Table
 from pipeline.views.web.page import Result, Side, write_page
+from pipeline.views.web.solids import OnFrame
 
 REPORT = "report.html"
 _AGAIN = "How to make it again"
 
 
-def report_of_folder(folder: Path) -> Path:
+def report_of_folder(folder: Path, on_frame: OnFrame | None = None) -> Path:
     """Write report.html of a result folder from its frames and datasets, and return its path.
+
+    `on_frame(variant, done, frames)` is called after each frame that is read.
 
     Raises CaseError where it is no result folder, OutputError where no variant left a frame or the page cannot be
     written, SeriesError where frames cannot be read.
@@ -47,7 +50,7 @@ def report_of_folder(folder: Path) -> Path:
     result = Result(
         title, tuple(sides), closing, notes, movie if movie.is_file() else None, poster if poster.is_file() else None
     )
-    return write_page(result, folder / REPORT)
+    return write_page(result, folder / REPORT, on_frame)
 
 
 def is_current(folder: Path) -> bool:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from pipeline.cli.terminal import say
+from pipeline.cli.terminal import progress, say
 
 
 def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
@@ -23,7 +23,8 @@ def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
 def _report(options: argparse.Namespace) -> int:
     from pipeline.report import report_of_folder
 
-    path = report_of_folder(options.folder)
+    with progress(options.quiet) as bar:
+        path = report_of_folder(options.folder, bar.read)
     if not options.quiet:
         print(path)
     return 0
@@ -34,8 +35,10 @@ def _view(options: argparse.Namespace) -> int:
 
     from pipeline.report import REPORT, is_current, report_of_folder
 
-    current = is_current(options.folder)
-    path = options.folder / REPORT if current else report_of_folder(options.folder)
+    path = options.folder / REPORT
+    if not is_current(options.folder):
+        with progress(options.quiet) as bar:
+            report_of_folder(options.folder, bar.read)
     if not options.quiet:
         print(path)
     if not options.no_open and not webbrowser.open(path.absolute().as_uri()):

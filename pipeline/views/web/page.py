@@ -16,13 +16,13 @@ from pipeline.series import Series
 from pipeline.sinks.atomic import write_whole
 from pipeline.views.blocks import Block, Heading, Paragraph, Table, anchor, data_uri, document, html_block, navigation
 from pipeline.views.web.curves import curves, worst_frame
-from pipeline.views.web.solids import Solids, solids
+from pipeline.views.web.solids import OnFrame, Solids, solids
 from pipeline.views.web.worst import WorstCell, worst_cells
 
 if TYPE_CHECKING:
     import xarray
 
-MOST_MOVIE_BYTES = 5_000_000  # a longer film is linked, not carried along
+MOST_MOVIE_BYTES = 4_000_000  # a longer film is linked, not carried along
 WORST = 5  # cells a series
 NO_VIEWER = "The bodies in space are missing: the package k3d is not installed (`pip install k3d`)."
 # nothing may be fetched: a browser refuses what this page should ever ask for
@@ -55,8 +55,8 @@ class Result:
     poster: Path | None = None
 
 
-def write_page(result: Result, path: Path) -> Path:
-    """Write the page and return its path.
+def write_page(result: Result, path: Path, on_frame: OnFrame | None = None) -> Path:
+    """Write the page and return its path; `on_frame(label, done, frames)` is called after each frame that is read.
 
     Raises SeriesError where a series or its statistics cannot be read, OutputError where the page cannot be written.
     """
@@ -66,7 +66,7 @@ def write_page(result: Result, path: Path) -> Path:
         drawn = [curves(one) for one in statistics]
         moments = [min(worst_frame(s), len(side.series) - 1) for s, side in zip(statistics, result.sides, strict=True)]
     labels = [side.label for side in result.sides]
-    shown = solids([side.series for side in result.sides], labels, moments)
+    shown = solids([side.series for side in result.sides], labels, moments, on_frame)
     notes = [*result.notes, *(shown.notes if shown else [NO_VIEWER])]
     closing = [html_block(block) for block in result.closing]
     sections = [_MOVIE] if result.movie else []

@@ -7,9 +7,10 @@ size: neither can be seen, and both halve the page.
 import base64
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,8 @@ from pipeline.views.motion import Track, colour_radius, drawn_points, read_track
 from pipeline.views.scene import INVERTED, Palette
 from pipeline.views.web.curves import numbers
 
-MOST_BYTES = 24_000_000  # of coordinates and colours before they are packed: 5 to 9 MB of page
+OnFrame = Callable[[str, int, int], None]  # what is read, frames done, frames in all
+MOST_BYTES = 16_000_000  # of coordinates and colours before they are packed: 5 to 8 MB of page
 MOST_FRAMES = 400  # of a body
 MOST_EDGES = 4000  # faces of a body up to which the edges of its cells are drawn
 _STEPS, _GRAIN = 254, 2.0**-15
@@ -39,11 +41,13 @@ class Solids:
     notes: tuple[str, ...]
 
 
-def solids(series: Sequence[Series], labels: Sequence[str], moments: Sequence[int]) -> Solids | None:
+def solids(
+    series: Sequence[Series], labels: Sequence[str], moments: Sequence[int], on_frame: OnFrame | None = None
+) -> Solids | None:
     """Return the surfaces of series over time, None where k3d is not installed.
 
     Long series and large meshes show some of their frames: every k-th, the last, and the one of `moments` (a frame
-    a series). Raises SeriesError where a frame cannot be read.
+    a series). `on_frame(label, done, frames)` is called after each. Raises SeriesError where one cannot be read.
     """
     try:
         import k3d  # noqa: F401
@@ -58,7 +62,13 @@ def solids(series: Sequence[Series], labels: Sequence[str], moments: Sequence[in
                 f"{label}: the bodies are shown at {len(kept)} of {len(one)} frames: every {_ordinal(every)}, the last "
                 "and that of the largest change"
             )
-        tracks.append(read_track(one.chosen(kept), label))
+        done = count(1)
+
+        def told(label: str = label, done: "count[int]" = done, frames: int = len(kept)) -> None:
+            if on_frame is not None:
+                on_frame(label, next(done), frames)
+
+        tracks.append(read_track(one.chosen(kept), label, told))
     radius, camera = colour_radius(tracks), fit_camera(tracks)
     palette = Palette(radius)
     meta = {
@@ -87,10 +97,10 @@ def _frames_each(series: Sequence[Series]) -> int:
     return max(2, min(MOST_FRAMES, MOST_BYTES // size))
 
 
-def _kept(count: int, most: int, moment: int) -> tuple[list[int], int]:
+def _kept(frames: int, most: int, moment: int) -> tuple[list[int], int]:
     """Return the frames that are kept, in order, and k where that is every k-th."""
-    every = -(-count // most)
-    return sorted({*range(0, count, every), count - 1, moment}), every
+    every = -(-frames // most)
+    return sorted({*range(0, frames, every), frames - 1, moment}), every
 
 
 def _ordinal(n: int) -> str:
@@ -110,6 +120,7 @@ def _scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[float, 
         grid_visible=False, menu_visibility=False, camera_auto_fit=False, axes_helper=0,
         grid_auto_fit=False, grid=bounds,  # what the viewer reckons from how far it has to see
         colorbar_object_id=0, time_interpolation=False, camera_fov=20.0,
+        lighting=1.9,  # a face toward the viewer then has the colour of the bar
     )  # fmt: skip
     plot += k3d.mesh(points, faces, triangles_attribute=colours, name="body", **look)
     if len(faces) <= MOST_EDGES:
