@@ -220,6 +220,9 @@ def test_the_page_of_anybodys_series(folder, tmp_path, monkeypatch, capsys):
     text = path.read_text(encoding="utf-8")
     assert path == tmp_path / "one" / "report.html" and "One series of 18 tetrahedra" in text
     assert "pipeline analyze x" in text
+    hostile = read_series(folder / "linear", name="</script><i>name")
+    text = report_of_analysis(analyze(hostile, tmp_path / "hostile"), [hostile], "").read_text(encoding="utf-8")
+    assert data_of(text)["labels"] == ["</script><i>name"] and Reader(text).wrong == [] and "<i>" not in text
     two = [one, read_series(folder / "polar", name="linear")]
     text = report_of_analysis(compare(two, tmp_path / "two"), two, "").read_text(encoding="utf-8")
     assert data_of(text)["labels"] == ["linear", "linear_2"]
