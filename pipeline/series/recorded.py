@@ -1,7 +1,7 @@
 """A recorded series of frames, replayed as Frames: what views and statistics read."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -35,6 +35,15 @@ class Series:
 
     def __iter__(self) -> Iterator[Frame]:
         return (self.frame(i) for i in range(len(self)))
+
+    def chosen(self, kept: Sequence[int]) -> "Series":
+        """Return the series of some of its frames, by their indices in increasing order."""
+        return replace(
+            self,
+            files=tuple(self.files[i] for i in kept),
+            times=tuple(self.times[i] for i in kept),
+            steps=tuple(self.steps[i] for i in kept) if self.steps else (),
+        )
 
     def grid(self, index: int) -> Grid:
         """Return what the files say of one frame, read now; raises SeriesError where it cannot be read."""
