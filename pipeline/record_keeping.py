@@ -168,7 +168,7 @@ def _remake_statistics(folder: Path, problem: Problem, count: int, title: str) -
     for file in files:
         if not file.is_file():
             raise SeriesError(f"{file}: missing")
-    series = Series(title, folder, files, tuple(frame_times(count, problem)))
+    series = Series(title, folder, files, tuple(frame_times(count, problem)), ours=True)
     with whole_file(folder / "statistics.nc") as hidden:
         sink = NetcdfSink(hidden, title=title)
         try:

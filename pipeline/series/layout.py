@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pipeline.errors import MeshError, SeriesError
 from pipeline.mesh.cleanup import oriented
 from pipeline.mesh.simplex import CELL_NAMES, Floats, Ints, Mesh
-from pipeline.series.grids import SUFFIXES, Grid, read_grid
+from pipeline.series.frame_files import SUFFIXES, Grid, read_grid
 
 _KINDS = {3: 10, 2: 5}  # VTK's numbers of tetrahedron and triangle
 _DISPLACEMENTS = {"displacement", "displacements", "disp", "u", "deformation"}  # compared in lower case
