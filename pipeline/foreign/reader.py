@@ -23,7 +23,7 @@ from pipeline.foreign.server import COUNT
 GIGABYTES = "PIPELINE_READER_GIGABYTES"  # of the environment: what a file may take where the default is too little
 # a file of 1 M tetrahedra with 20 fields takes about 1 GB to read; compressed ones are read into many times their size
 _LEAST_BYTES, _BYTES_PER_BYTE = 2 * 10**9, 40
-_LEAST_SECONDS, _BYTES_PER_SECOND = 60.0, 10**6
+_LEAST_SECONDS, _BYTES_PER_SECOND = 20.0, 10**6
 # the package without its __init__: the child reads files only, and shall start fast
 _START = """
 import sys, types
