@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.case import Case, MethodSpec
+from pipeline.case.values import shown
 from pipeline.conditions import dead_load, initial_state, supports
 from pipeline.errors import MeshError
 from pipeline.fem.body import Body
@@ -138,7 +139,7 @@ def _check_step(case: Case, body: Body) -> None:
 
 def _chosen(case: Case, key: str, name: str, table: Mapping[str, Any]) -> str:
     if name not in table:
-        raise case.error(key, f"{name!r} is not one of {', '.join(table)}")
+        raise case.error(key, f"{shown(name)} is not one of {', '.join(table)}")
     return name
 
 

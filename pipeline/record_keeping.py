@@ -16,10 +16,10 @@ import numpy as np
 from pipeline.build import Problem
 from pipeline.case import OutputSpec
 from pipeline.errors import CaseError, OutputError, SeriesError
+from pipeline.foreign.grids import Grid
 from pipeline.measures import VARIABLES, measure
 from pipeline.mesh.simplex import Mesh
 from pipeline.series import Series
-from pipeline.series.grids import Grid
 from pipeline.sinks.atomic import whole_file
 from pipeline.sinks.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.sinks.formats import FORMATS
@@ -177,7 +177,8 @@ def _remake_statistics(folder: Path, problem: Problem, output: OutputSpec, count
     for file in files:
         if not file.is_file():
             raise SeriesError(f"{file}: missing")
-    series = Series(title, folder, files, tuple(frame_times(count, problem)), tuple(step for _, step in places))
+    times, steps = tuple(frame_times(count, problem)), tuple(step for _, step in places)
+    series = Series(title, folder, files, times, steps, ours=True)
     path = folder / "statistics.nc"
     rounded = output.precision == "float32"
     with ExitStack() as stack:

@@ -15,7 +15,7 @@ PACKAGE = ROOT / "pipeline"
 FILES = sorted(PACKAGE.rglob("*.py"))
 # A module imports only from its own room and rooms before it; `__init__` is what `import pipeline` gives.
 ROOMS = (
-    "version errors case mesh fem stepping methods conditions build frame measures run sinks series statistics "
+    "version errors foreign case mesh fem stepping methods conditions build frame measures run sinks series statistics "
     "opengl views analysis record_keeping variant_run comparison report campaign check reproduction studies __init__ "
     "cli __main__"
 ).split()
