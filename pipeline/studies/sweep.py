@@ -32,6 +32,8 @@ _FILE_SAFE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}")
 # a second death on the same point, with others about, is reason enough to try it alone
 _ALLOWED_FAILURES = 1
 _THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA")
+# Ctrl-C reaches every process of the terminal; this one closes the others
+_DEAF = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
 _CONNECT_SECONDS = 10
 _CLOSE_SECONDS = 5
 
@@ -157,7 +159,9 @@ def _client(scheduler: str | None, most: int) -> Iterator[Any]:
     asked = {"n_workers": min(most, dask.system.CPU_COUNT), "threads_per_worker": 1, "memory_limit": 0}
     environment = {f"{name}_NUM_THREADS": "1" for name in _THREADS}
     with dask.config.set({"distributed.scheduler.allowed-failures": _ALLOWED_FAILURES}):
-        cluster = LocalCluster(**asked, dashboard_address=None, env=environment, silence_logs=logging.CRITICAL)
+        cluster = LocalCluster(
+            **asked, dashboard_address=None, env=environment, silence_logs=logging.CRITICAL, preload=[_DEAF]
+        )
         try:
             with Client(cluster, set_as_default=False) as client:
                 yield client
