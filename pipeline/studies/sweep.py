@@ -158,15 +158,19 @@ def _client(scheduler: str | None, most: int) -> Iterator[Any]:
     # a worker that is paused for its memory would never end; one that is killed for it does
     asked = {"n_workers": min(most, dask.system.CPU_COUNT), "threads_per_worker": 1, "memory_limit": 0}
     environment = {f"{name}_NUM_THREADS": "1" for name in _THREADS}
+    spoken = logging.getLogger("distributed")
+    level = spoken.level
+    spoken.setLevel(logging.CRITICAL)  # a worker that dies is told by its point
     with dask.config.set({"distributed.scheduler.allowed-failures": _ALLOWED_FAILURES}):
         cluster = LocalCluster(
-            **asked, dashboard_address=None, env=environment, silence_logs=logging.CRITICAL, preload=[_DEAF]
+            **asked, dashboard_address="127.0.0.1:0", env=environment, silence_logs=logging.CRITICAL, preload=[_DEAF]
         )
         try:
             with Client(cluster, set_as_default=False) as client:
                 yield client
         finally:
             cluster.close(timeout=_CLOSE_SECONDS)
+            spoken.setLevel(level)
 
 
 def _run(client: Any, task: Task, points: Sequence[Point], most: int) -> Iterator[tuple[Point, Result]]:
