@@ -73,7 +73,7 @@ def _draw_costs(axes: "Axes", table: Table) -> None:
         _handle(model.replace("_", "-").replace("-", " "), c, "s") for model, c in _COLOURS.items() if model in present
     ]
     handles += [_handle(name.replace("_", " "), "#626875", _MARKERS[name]) for name in used]
-    axes.legend(handles=handles, fontsize=8, frameon=False, ncols=2, loc="lower left")
+    axes.legend(handles=handles, fontsize=8, frameon=False, ncols=5, loc="upper center", bbox_to_anchor=(0.5, -0.13))
     axes.set_title("every setting on the case's mesh; line: the front", loc="left", fontsize=10)
 
 
@@ -124,4 +124,4 @@ def _draw_shares(axes: "Axes", table: Table) -> None:
     axes.spines["right"].set_visible(False)
     axes.set_title(f"{own.stepper.replace('_', ' ')}, dt = {own.dt:.4g} s: what dominates", loc="left", fontsize=10)
     handles = [_handle(name, colour, "s") for name, colour in _PARTS.items()]
-    axes.legend(handles=handles, fontsize=8, frameon=False, loc="lower right")
+    axes.legend(handles=handles, fontsize=8, frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.13))

@@ -1,7 +1,8 @@
 """The settings that a trade-off study runs: slices through the knobs of a case, not their product.
 
-On the case's mesh: every law, rotation and number of iterations for both implicit steppers at every dt, symplectic
-Euler below its limit, and the other mass matrix once a stepper. On finer meshes: the laws that a choice is made of.
+On the case's mesh: every law, rotation and number of iterations for both implicit steppers at every dt, two steps more
+of bdf2 with the laws that a choice is made of, symplectic Euler below its limit, and the other mass matrix once a
+stepper. On finer meshes: the laws that a choice is made of.
 Everything is seen at the same instants, multiples of the longest dt.
 """
 
@@ -35,8 +36,9 @@ MODELS = (
 FINE_MODELS = (LINEAR, ("corotational", "polar", "1"), CONVERGED, AUTO)
 DT_FACTORS = (2.0, 1.0, 0.5, 0.25, 0.125)
 QUICK_FACTORS = (1.0, 0.5, 0.25)
-# the reference's step is this part of the smallest one: bdf2 is of order 2, so its error is a sixteenth
-REFERENCE_PART = 4
+# of the smallest step: bdf2 alone takes these too, and half the last is the reference's
+SMALLER = (0.5, 0.25)
+REFERENCE_PART = 0.125
 _MOST_FRAMES = 50  # seen of a run; more cost memory and tell little
 _BELOW_LIMIT = 0.9  # the bound is that of the body at rest
 _WHOLE = 1e-9  # a ratio this near to a whole number is meant to be one
@@ -91,7 +93,7 @@ class Plan:
 
     def reference(self, refinement: int) -> Setting:
         """Return the setting that stands for the exact motion on a mesh."""
-        dt = self.dts[-1] / REFERENCE_PART
+        dt = self.dts[-1] * REFERENCE_PART
         return Setting(refinement, self.case.method.mass, "bdf2", dt, *CONVERGED)
 
     def reference_before(self, refinement: int) -> Setting:
@@ -174,9 +176,11 @@ def _slices(plan: Plan, refinement: int) -> list[Setting]:
     mass, other = plan.case.method.mass, {"consistent": "lumped", "lumped": "consistent"}[plan.case.method.mass]
     fine = refinement > 1
     dts = [dt for dt in plan.dts if dt <= plan.dt][:3] if fine else plan.dts
-    out = [plan.reference(refinement)] + ([] if fine else [plan.reference_before(refinement)])
+    out = [plan.reference(refinement)]
     for stepper in IMPLICIT:
         out += [Setting(refinement, mass, stepper, dt, *m) for dt in dts for m in (FINE_MODELS if fine else MODELS)]
+    smaller = () if fine else [plan.dts[-1] * part for part in SMALLER]
+    out += [Setting(refinement, mass, "bdf2", dt, *m) for dt in smaller for m in FINE_MODELS]
     out += [Setting(refinement, other, stepper, plan.dt, *CONVERGED) for stepper in IMPLICIT]
     out.append(replace(plan.reference(refinement), mass=other, dt=dts[-1]))
     dt = _explicit_step(plan, refinement)

@@ -6,7 +6,7 @@ total    from that reference on the finest mesh, at the nodes that both have: th
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -89,8 +89,7 @@ class Table:
         if fine is None or before is None:
             return ReferenceError(None, None, self._mesh_error())
         halved = error(deviation(before, fine, None))
-        twice = Setting(1, plan.case.method.mass, "bdf2", plan.dts[-1], *_model(plan.reference(1)))
-        last = self._motion(twice)
+        last = self._motion(replace(plan.reference(1), dt=4 * plan.reference(1).dt))
         order = None
         if last is not None and halved > 0:
             order = float(np.log2(error(deviation(last, before, None)) / halved))
@@ -161,10 +160,6 @@ class Table:
             "real_time_factor": simulated / seconds,
             **{_named(name): float(getattr(work, name)) for name in COUNTS},
         }
-
-
-def _model(setting: Setting) -> tuple[str, str, str]:
-    return setting.law, setting.rotation, setting.iterations
 
 
 def known(table: Table) -> list[str]:

@@ -85,7 +85,7 @@ def _task(settings: Any) -> dict[str, Any]:
 
 def _point(plan: Plan, setting: Setting, repeats: int) -> Point:
     case = point_case(plan, setting)
-    once = setting in {plan.reference(r) for r in plan.refinements} | {plan.reference_before(1)}
+    once = setting in {plan.reference(r) for r in plan.refinements}
     return Point(setting.key, task_settings(case, 1 if once else repeats))
 
 

@@ -17,16 +17,19 @@ MODE_BAR = 10.0  # times fewer steps
 class AutoVerdict:
     """model = "auto" beside the cheapest fixed setting of the same stepper, dt and mesh that meets its tolerance.
 
-    `volume` is the worst |J - J_ref| of auto against the converged solution, to be at most twice the tolerance.
+    `volume` is the worst |J - J_ref| of auto against the converged solution, to be at most twice the tolerance;
+    `iterations` count linear solves, which do not depend on the machine.
     """
 
     refinement: int
     stepper: str
     dt: float
     seconds: float
+    iterations: float
     volume: float
     fixed: str | None
     fixed_seconds: float | None
+    fixed_iterations: float | None
     ratio: float | None
     kept: bool
 
@@ -65,7 +68,7 @@ def cheapest(rows: Iterable[Row], tolerance: float, reference: str = "motion") -
 def choosable(table: Table, refinement: int | None = 1) -> list[Row]:
     """Return the rows that a choice is made of: those of a mesh (None: of any) less the references."""
     plan = table.plan
-    left_out = {plan.reference(r) for r in plan.refinements} | {plan.reference_before(1)}
+    left_out = {plan.reference(r) for r in plan.refinements}
     rows = [row for row in table.rows if row.setting not in left_out]
     return [row for row in rows if refinement in (None, row.setting.refinement)]
 
@@ -90,7 +93,8 @@ def auto_verdicts(table: Table) -> list[AutoVerdict]:
         other = best.costs["seconds"] if best else None
         out.append(
             AutoVerdict(
-                s.refinement, s.stepper, s.dt, seconds, volume, best.setting.model if best else None, other,
+                s.refinement, s.stepper, s.dt, seconds, row.costs["newton_iterations"], volume,
+                best.setting.model if best else None, other, best.costs["newton_iterations"] if best else None,
                 seconds / other if other else None, volume <= limit,
             )
         )  # fmt: skip
