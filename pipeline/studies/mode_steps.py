@@ -8,17 +8,16 @@ The error falls as a power of the steps a period, so a few runs find the count.
 from collections.abc import Mapping
 from dataclasses import replace
 from math import ceil, pi
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.build import Problem, build
-from pipeline.case import Case
+from pipeline.build import Problem
 from pipeline.errors import SolveError
 from pipeline.fem.modes import lowest_frequencies
 from pipeline.methods import STEPPERS
 from pipeline.stepping.state import State
+from pipeline.studies.motion import built
 
 ORDERS = {"backward_euler": 1, "bdf2": 2}
 _FIRST = 64  # steps a period
@@ -32,7 +31,7 @@ def steps_a_period(settings: Mapping[str, Any]) -> dict[str, Any]:
     Settings are those of `motion.task_settings` and `tolerance`. Raises SolveError where the body has no elastic mode
     or the tolerance is not reached.
     """
-    problem = build(Case.model_validate({**settings["case"], "path": Path(settings["path"])}))
+    problem = built(settings, "case")
     stepper, tolerance = problem.method.stepper, float(settings["tolerance"])
     omegas, modes = lowest_frequencies(problem.body)
     if not len(omegas):

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.build import build
+from pipeline.build import Problem, build
 from pipeline.case import Case
 from pipeline.errors import SolveError
+from pipeline.frame import Frame
 from pipeline.mesh.simplex import Floats, Mesh, signed_volumes
 from pipeline.run import frames
 from pipeline.stepping.state import Work
@@ -21,7 +22,7 @@ from pipeline.variant_run import determining
 
 COUNTS = ("steps", "solves", "iterations", "factorisations", "rotations")
 _ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")
-_MEASURED, _MOST_RUNS = 0.5, 15  # seconds in all, runs
+_MEASURED, _MOST_RUNS, _PAIRS = 0.5, 15, 5  # seconds in all, runs, pairs of runs
 _BEYOND = 1e3  # body sizes: what has flown so far has no error that is worth a number
 
 
@@ -46,17 +47,15 @@ def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:
     The run is repeated as the settings ask, a short one more often; seconds are the median, the motion is the same each
     time. Raises SolveError where a step fails or the body leaves the scene.
     """
-    case: Case = Case.model_validate({**settings["case"], "path": Path(settings["path"])})
-    problem = build(case)
+    problem = built(settings, "case")
     problem.prepare().step(problem.start)  # kernels are loaded now, not in the first timed step
     seconds: list[float] = []
     setup: list[float] = []
     while len(seconds) < settings["repeats"] or (settings["repeats"] > 1 and _brief(seconds)):
         seen = list(frames(problem))
-        works = [frame.work or Work() for frame in seen]
-        setup.append(works[0].seconds)
-        seconds.append(sum(work.seconds for work in works[1:]))
-    total = sum(works[1:], Work())
+        setup.append((seen[0].work or Work()).seconds)
+        total = _solving(seen)
+        seconds.append(total.seconds)
     X, size = problem.body.mesh.points, problem.body.mesh.size
     u = np.stack([frame.x - X for frame in seen])
     if np.abs(u).max() > _BEYOND * size:
@@ -73,6 +72,31 @@ def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:
         "indicator": total.indicator,
         "rung": total.rung,
     }
+
+
+def race(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the ratio of solver seconds of "case" over those of "rival", run in turn: the median of the pairs.
+
+    Whatever else the machine does meanwhile slows both, so that the ratio is told better than either time.
+    """
+    problems = [built(settings, key) for key in ("case", "rival")]
+    for problem in problems:
+        problem.prepare().step(problem.start)
+    pairs: list[tuple[float, float]] = []
+    while len(pairs) < _PAIRS or _brief([first for first, _ in pairs]):
+        first, second = (_solving(list(frames(problem))).seconds for problem in problems)
+        pairs.append((first, second))
+    return {"ratio": statistics.median(first / second for first, second in pairs), "pairs": len(pairs)}
+
+
+def built(settings: Mapping[str, Any], key: str) -> Problem:
+    """Return the problem of the case that settings hold under a key."""
+    return build(Case.model_validate({**settings[key], "path": Path(settings["path"])}))
+
+
+def _solving(seen: list[Frame]) -> Work:
+    """Return the work of all steps; that of the first frame is the set-up."""
+    return sum((frame.work or Work() for frame in seen[1:]), Work())
 
 
 def _brief(seconds: list[float]) -> bool:

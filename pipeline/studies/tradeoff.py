@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -14,22 +14,25 @@ from pipeline.studies.adequate import apply
 from pipeline.studies.dataset import dataset
 from pipeline.studies.front_figure import front_figure
 from pipeline.studies.mode_steps import steps_a_period
-from pipeline.studies.motion import run_motion, task_settings
+from pipeline.studies.motion import race, run_motion, task_settings
 from pipeline.studies.settings import IMPLICIT, LINEAR, Plan, Setting, point_case
 from pipeline.studies.sweep import Point, plain, sweep
 from pipeline.studies.table import Table
 from pipeline.studies.verdict import (
     AUTO_BAR,
     MODE_BAR,
+    AutoVerdict,
     as_dict,
     auto_verdicts,
     cheapest,
     choosable,
     front,
+    named,
     sentence,
     shares,
     worst_auto,
 )
+from pipeline.variant_run import determining
 from pipeline.version import VERSION
 
 MODE_TOLERANCE = 0.01
@@ -66,20 +69,29 @@ def tradeoff(
     )
     table = Table(plan, {key: results[key] for key in points})
     mode = {stepper: results[f"first-mode-{stepper}"] for stepper in IMPLICIT}
+    verdicts = _raced(plan, auto_verdicts(table), folder, scheduler)
     made = tuple(folder / name for name in ("tradeoff.nc", "tradeoff.png", "summary.json"))
     write_dataset(dataset(table), made[0])
     front_figure(table, made[1])
     said = sentence(table)
-    summary = plain(_summary(table, mode) | {"sentence": said})
+    summary = plain(_summary(table, mode, verdicts) | {"sentence": said})
     write_whole(made[2], json.dumps(summary, indent=2, allow_nan=False) + "\n")
     notes = list(plan.notes)
     if write_variant:
         notes.append(_applied(table, said))
-    return Tradeoff(folder, summary, said, (*_lines(table, summary), *(f"note: {note}" for note in notes)), made)
+    return Tradeoff(
+        folder,
+        summary,
+        said,
+        (*_lines(table, summary, worst_auto(verdicts)), *(f"note: {note}" for note in notes)),
+        made,
+    )
 
 
 def _task(settings: Any) -> dict[str, Any]:
     """Return the result of one study point."""
+    if "rival" in settings:
+        return race(settings)
     return steps_a_period(settings) if "tolerance" in settings else run_motion(settings)
 
 
@@ -98,10 +110,23 @@ def _mode_points(plan: Plan) -> list[Point]:
     return out
 
 
-def _summary(table: Table, mode: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def _raced(plan: Plan, verdicts: list[AutoVerdict], folder: Path, scheduler: str | None) -> list[AutoVerdict]:
+    """Return the verdicts with their ratio of seconds measured anew, auto and its rival in turn."""
+    points = {}
+    for one in verdicts:
+        if one.rival is not None:
+            settings = task_settings(point_case(plan, one.setting), 1)
+            settings["rival"] = determining(point_case(plan, one.rival))
+            points[one.setting.key] = Point(f"race-{one.setting.key}", settings)
+    found = sweep(_task, list(points.values()), folder, scheduler=scheduler, timed=True)
+    ratios = {key: found[point.key].get("ratio") for key, point in points.items()}
+    return [replace(one, ratio=ratios.get(one.setting.key)) for one in verdicts]
+
+
+def _summary(table: Table, mode: dict[str, dict[str, Any]], verdicts: list[AutoVerdict]) -> dict[str, Any]:
     """Return everything that was found but the rows themselves, which tradeoff.nc holds."""
     plan, rows = table.plan, choosable(table)
-    own, verdicts = table.row(plan.own), auto_verdicts(table)
+    own = table.row(plan.own)
     chosen = cheapest(rows, plan.tolerance)
     every = choosable(table, None)
     parts = shares(table, own) if own is not None else None
@@ -133,7 +158,7 @@ def _summary(table: Table, mode: dict[str, dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _lines(table: Table, summary: dict[str, Any]) -> list[str]:
+def _lines(table: Table, summary: dict[str, Any], worst: AutoVerdict | None) -> list[str]:
     """Return what is told beside the sentence: the reference's own error, what dominates, and the bars."""
     plan, own = table.plan, summary["own_error_parts"]
     reference = table.reference_error()
@@ -148,21 +173,20 @@ def _lines(table: Table, summary: dict[str, Any]) -> list[str]:
     if own is not None:
         parts = ", ".join(f"{name} {_told(own[name])}" for name in ("model", "dt", "mesh"))
         lines.append(f"the case as it is: {parts}; {own['dominant']} dominates")
-    lines += _bars(table, summary)
+    lines += _bars(summary, worst)
     if summary["failed"]:
         lines.append(f"{len(summary['failed'])} of {len(table.rows)} settings failed: see summary.json")
     return lines
 
 
-def _bars(table: Table, summary: dict[str, Any]) -> list[str]:
+def _bars(summary: dict[str, Any], worst: AutoVerdict | None) -> list[str]:
     """Return what auto costs beside fixed settings, and what the first mode asks of each stepper."""
     lines = []
-    worst = worst_auto(auto_verdicts(table))
-    if worst is not None:
+    if worst is not None and worst.rival is not None:
         kept = "within" if all(one["kept"] for one in summary["auto"]) else "NOT within"
         lines.append(
             f"auto: at most {worst.ratio:.2f} times the cheapest fixed setting of the same tolerance "
-            f"({worst.fixed}; {worst.stepper}, dt = {worst.dt:.3g} s; bar {AUTO_BAR:g}); "
+            f"({named(worst.rival)}; bar {AUTO_BAR:g}); "
             f"|J - J_ref| {kept} twice the tolerance"
         )
     mode = summary["first_mode"]

@@ -18,18 +18,16 @@ class AutoVerdict:
     """model = "auto" beside the cheapest fixed setting of the same stepper, dt and mesh that meets its tolerance.
 
     `volume` is the worst |J - J_ref| of auto against the converged solution, to be at most twice the tolerance;
-    `iterations` count linear solves, which do not depend on the machine.
+    `iterations` count linear solves, which do not depend on the machine; `ratio` is that of the seconds.
     """
 
-    refinement: int
-    stepper: str
-    dt: float
+    setting: Setting
     seconds: float
     iterations: float
     volume: float
-    fixed: str | None
-    fixed_seconds: float | None
-    fixed_iterations: float | None
+    rival: Setting | None
+    rival_seconds: float | None
+    rival_iterations: float | None
     ratio: float | None
     kept: bool
 
@@ -93,8 +91,8 @@ def auto_verdicts(table: Table) -> list[AutoVerdict]:
         other = best.costs["seconds"] if best else None
         out.append(
             AutoVerdict(
-                s.refinement, s.stepper, s.dt, seconds, row.costs["newton_iterations"], volume,
-                best.setting.model if best else None, other, best.costs["newton_iterations"] if best else None,
+                s, seconds, row.costs["newton_iterations"], volume, best.setting if best else None, other,
+                best.costs["newton_iterations"] if best else None,
                 seconds / other if other else None, volume <= limit,
             )
         )  # fmt: skip
