@@ -1,12 +1,11 @@
 """The choice of a trade-off study written into its case file, as the variant "adequate"."""
 
+import json
 import re
+import tomllib
 from typing import Any
 
-import tomli_w
-
 from pipeline.case import load_case
-from pipeline.case.document import read_document
 from pipeline.errors import CaseError
 from pipeline.sinks.atomic import whole_file
 from pipeline.studies.settings import Plan, Setting, mesh_keys, method_keys
@@ -26,19 +25,29 @@ def apply(plan: Plan, setting: Setting, why: str) -> None:
     path = plan.case.path
     text = path.read_text(encoding="utf-8")
     kept = _BLOCK.sub("", text).rstrip("\n")
-    variants = read_document(path).get("variants", {})
-    if NAME in variants and kept == text.rstrip("\n"):
+    variants = tomllib.loads(kept).get("variants", {})
+    if NAME in variants:
         raise CaseError(f"{path}: variants.{NAME}: is there already; rename it or remove it")
-    lines = [_MARK, f"# {why}", f"[variants.{NAME}]", tomli_w.dumps(_overrides(plan, setting)).strip()]
-    if not set(variants) - {NAME}:  # a case without variants has one, of this name
+    keys = [f'"{key}" = {_inline(value)}' for key, value in _overrides(plan, setting).items()]
+    lines = [_MARK, f"# {why}", f"[variants.{NAME}]", *keys]
+    if not variants:  # a case without variants has one, of this name
         lines[2:2] = ["[variants.default]"]
     with whole_file(path) as hidden:
         hidden.write_text("\n".join([kept, "", *lines, ""]), encoding="utf-8")
         try:
             load_case(hidden)
         except CaseError as error:
-            keys = tomli_w.dumps(_overrides(plan, setting)).strip().replace("\n", ", ")
-            raise CaseError(f"{path}: variants: cannot be appended to; add {NAME} = {{{keys}}} yourself") from error
+            line = f"{NAME} = {{{', '.join(keys)}}}"
+            raise CaseError(f"{path}: variants: cannot be appended to; add {line} yourself") from error
+
+
+def _inline(value: Any) -> str:
+    """Return a TOML value on one line."""
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key} = {_inline(one)}' for key, one in value.items())}}}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_inline, value))}]"
+    return json.dumps(value)  # of a string or a number it is TOML too
 
 
 def _overrides(plan: Plan, setting: Setting) -> dict[str, Any]:

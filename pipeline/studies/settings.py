@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.build import build, settled
 from pipeline.case import Case
-from pipeline.case.specs import MeshSpec
+from pipeline.case.specs import ONLY_VARIANT, MeshSpec
 from pipeline.mesh.simplex import Ints
 from pipeline.methods import STEP_LIMITS
 
@@ -121,6 +121,7 @@ def planned(
     quick: bool = False,
 ) -> Plan:
     """Return the plan of a case; raises CaseError where steps or refinements do not fit it."""
+    build(case.model_copy(update={"variants": {}}).variant(ONLY_VARIANT))  # what is wrong with it is told now
     explicit = case.method.stepper in STEP_LIMITS
     schedule = case.schedule
     # an explicit case's own step says nothing of what implicit ones can take; its frames do
@@ -159,6 +160,9 @@ def _meshes(case: Case, asked: Sequence[int], quick: bool) -> tuple[tuple[int, .
     """Return the refinements that can be compared, 1 first, and notes of what is not available."""
     if any(factor < 1 for factor in asked):
         raise case.error("mesh.cells", f"--refine {min(asked)}: factors are whole numbers from 1 on")
+    odd = [factor for factor in asked if max(asked) % factor]
+    if odd:
+        raise case.error("mesh.cells", f"--refine {odd[0]} does not divide the largest, {max(asked)}: no common nodes")
     reason = None
     if case.mesh.shape is None:
         reason = "its mesh is a file, which is not refined here"

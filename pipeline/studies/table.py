@@ -38,6 +38,9 @@ COSTS = {
 }
 
 
+_ORDER, _LEAST_ORDER = 2.0, 0.5  # of bdf2; below the least a series of halvings says nothing
+
+
 @dataclass(frozen=True)
 class Row:
     """A setting, its costs by the names of COSTS, its deviations "reference_measure", and why it has none."""
@@ -93,7 +96,8 @@ class Table:
         order = None
         if last is not None and halved > 0:
             order = float(np.log2(error(deviation(last, before, None)) / halved))
-        return ReferenceError(halved / 3, order, self._mesh_error())  # order 2: the rest of the series is a third
+        sure = float(np.clip(_ORDER if order is None else order, _LEAST_ORDER, _ORDER))
+        return ReferenceError(halved / (2**sure - 1), order, self._mesh_error())  # the rest of a geometric series
 
     def mesh_error(self, refinement: int) -> float:
         """Return how far the reference on a mesh is from that on the finest; NaN where there is one mesh only."""
@@ -144,10 +148,7 @@ class Table:
     def _nodes(self, refinement: int) -> Any:
         cells = self.plan.case.mesh.cells
         assert cells is not None
-        finest = self.plan.refinements[-1]
-        if finest % refinement:
-            raise self.plan.case.error("mesh.cells", f"--refine {refinement} does not divide {finest}: no common nodes")
-        return nested([refinement * c for c in cells], finest // refinement)
+        return nested([refinement * c for c in cells], self.plan.refinements[-1] // refinement)
 
     def _costs(self, result: Mapping[str, Any]) -> dict[str, float]:
         work = Work(**result["work"])
