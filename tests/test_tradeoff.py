@@ -252,6 +252,7 @@ def test_steps_a_period_are_those_of_the_formula(tmp_path, stepper):
 # the whole
 
 
+@pytest.mark.slow
 def test_the_study_stands_as_files(study):
     plan, found = study
     with xarray.open_dataset(found.folder / "tradeoff.nc") as dataset:
@@ -272,6 +273,7 @@ def test_the_study_stands_as_files(study):
     assert (found.folder / "tradeoff.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_reference_is_better_than_what_it_judges(study):
     _, found = study
     own = found.summary["reference"]
@@ -282,6 +284,7 @@ def test_the_reference_is_better_than_what_it_judges(study):
     assert 0 < own["mesh"] == pytest.approx(parts["mesh"] / 3)
 
 
+@pytest.mark.slow
 def test_the_sentence_names_a_setting_that_is_enough(study):
     plan, found = study
     choice = found.summary["choice"]
@@ -292,6 +295,7 @@ def test_the_sentence_names_a_setting_that_is_enough(study):
     )
 
 
+@pytest.mark.slow
 def test_a_study_that_stands_is_not_run_again(study, monkeypatch):
     plan, found = study
     monkeypatch.setattr("pipeline.studies.tradeoff.run_motion", lambda settings: pytest.fail("run again"))
@@ -299,6 +303,7 @@ def test_a_study_that_stands_is_not_run_again(study, monkeypatch):
     assert again.summary == found.summary
 
 
+@pytest.mark.slow
 def test_a_reference_that_fails_is_an_error_and_other_failures_are_told(study):
     plan, found = study
     results = {s.key: json.loads((found.folder / f"points/{s.key}.json").read_text())["result"] for s in plan.settings}
@@ -360,6 +365,7 @@ def test_a_file_that_cannot_take_the_variant_is_left_alone(tmp_path):
 # the command line
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_sentence_and_writes_the_variant(tmp_path, capsys):
     path = write_case(tmp_path, **PLANAR)
     arguments = ["study", "tradeoff", str(path), "--quick", "--repeats", "1", "--steps", "2", "--tolerance", "0.3"]
