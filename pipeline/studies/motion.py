@@ -53,7 +53,7 @@ def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:
     seconds: list[float] = []
     setup: list[float] = []
     repeats = settings["repeats"]
-    while len(seconds) < repeats and sum(seconds) < _ENOUGH or (repeats > 1 and _brief(seconds)):
+    while (len(seconds) < repeats and sum(seconds) < _ENOUGH) or (repeats > 1 and _brief(seconds)):
         seen = list(frames(problem))
         setup.append((seen[0].work or Work()).seconds)
         total = _solving(seen)
