@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import PipelineError, SolveError
+from pipeline.record_keeping import folder_lock
 from pipeline.studies import sweep as sweep_module
 from pipeline.studies.sweep import Point, sweep
 
@@ -100,6 +101,11 @@ def test_an_error_is_the_result_of_its_point(tmp_path, here):
         assert found["point-1"] == {"error": "SolveError: it blew up"}
         assert found["point-2"] == {"error": "ZeroDivisionError: a bug", "unexpected": True}
     assert tried == [1, 2, 2]  # what is no error of ours is tried again
+
+
+def test_two_sweeps_do_not_share_a_folder(tmp_path, here):
+    with folder_lock(tmp_path), pytest.raises(PipelineError, match="another run"):
+        sweep(square(), points(1), tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import tomli_w
 import xarray
 
 from pipeline.build import build, build_mesh
@@ -22,7 +23,7 @@ from pipeline.studies.settings import AUTO, CONVERGED, LINEAR, Setting, nested, 
 from pipeline.studies.table import Row, Table
 from pipeline.studies.tradeoff import tradeoff
 from pipeline.studies.verdict import auto_verdicts, cheapest, front, sentence, shares
-from tests.bodies import PLANAR, assert_conventional, clamped_bar, write_case
+from tests.bodies import PLANAR, assert_conventional, case_document, clamped_bar, write_case
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -322,8 +323,8 @@ CHOSEN = Setting(1, "lumped", "bdf2", 0.01, *AUTO)
 
 
 def test_the_choice_becomes_a_variant_and_the_rest_of_the_file_stays(tmp_path):
-    plan = plan_of(tmp_path)
-    path = plan.case.path
+    path = write_case(tmp_path)
+    plan = planned(load_case(path, steps=2), tolerance=0.01, quick=True)
     path.write_text(path.read_text() + "\n# a last remark\n")
     before = path.read_text()
     apply(plan, CHOSEN, "for 1 % it is enough")
@@ -388,6 +389,7 @@ def test_the_command_prints_the_sentence_and_writes_the_variant(tmp_path, capsys
         (["--refine", "2", "3"], "--refine 2 does not divide the largest, 3"),
         (["--set", "method.stepper=rk4"], "rk4"),
         (["--scheduler", "tcp://127.0.0.1:1"], "scheduler"),
+        (["--apply", "--set", "schedule.dt=0.01"], "--apply"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(tmp_path, capsys, arguments, message):
@@ -397,6 +399,29 @@ def test_wrong_input_is_one_line_and_exit_code_2(tmp_path, capsys, arguments, me
     )
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1 and message in said[0]
+
+
+def test_two_cases_of_one_name_are_refused(tmp_path, capsys):
+    paths = [str(write_case(tmp_path, name)) for name in ("one.toml", "two.toml")]
+    assert main(["study", "tradeoff", *paths, "--out", str(tmp_path / "o")]) == 2
+    assert "name of another case" in capsys.readouterr().err
+
+
+def test_a_case_without_a_reference_does_not_stop_the_others(tmp_path, capsys, monkeypatch):
+    from pipeline.studies import tradeoff as module
+
+    def one(plan, folder, **keywords):
+        if plan.case.name == "bad":
+            raise SolveError("no reference")
+        return module.Tradeoff(folder, {}, "good: use this", (), ())
+
+    monkeypatch.setattr(module, "tradeoff", one)
+    paths = [tmp_path / "bad.toml", tmp_path / "good.toml"]
+    for path in paths:
+        path.write_text(tomli_w.dumps(case_document(name=path.stem)))
+    assert main(["study", "tradeoff", *map(str, paths), "--out", str(tmp_path / "o")]) == 3
+    said = capsys.readouterr()
+    assert said.out.startswith("good: use this") and said.err == "SolveError: no reference\n"
 
 
 def test_a_missing_case_and_an_unknown_study_are_told(tmp_path, capsys):

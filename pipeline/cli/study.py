@@ -3,11 +3,14 @@
 import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from pipeline.case import load_case, parse_override
-from pipeline.cli.terminal import progress
-from pipeline.errors import CaseError
+from pipeline.case import Case, load_case, parse_override
+from pipeline.cli.terminal import progress, say
+from pipeline.errors import CaseError, SolveError
+
+if TYPE_CHECKING:
+    from pipeline.studies.settings import Plan
 
 
 class Study(NamedTuple):
@@ -56,37 +59,56 @@ def _tradeoff_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _tradeoff(options: argparse.Namespace) -> int:
     from pipeline.studies.settings import planned
-    from pipeline.studies.tradeoff import tradeoff
 
+    plans = [
+        planned(
+            case, tolerance=options.tolerance, dts=options.dts, refinements=options.refine, quick=options.quick
+        )
+        for case in _tradeoff_cases(options)
+    ]  # fmt: skip
+    worst = 0
+    for plan in plans:
+        try:
+            _print_tradeoff(plan, options)
+        except SolveError as error:  # the other cases have their turn
+            say(f"SolveError: {error}")
+            worst = error.exit_code
+    return worst
+
+
+def _tradeoff_cases(options: argparse.Namespace) -> list[Case]:
+    """Return the cases that the options name and change; raises CaseError where the options are wrong."""
     if not 0 < options.tolerance < 1:
         raise CaseError(f"--tolerance {options.tolerance:g}: is not between 0 and 1")
     if options.repeats < 1:
         raise CaseError(f"--repeats {options.repeats}: is not 1 or more")
+    if options.apply and options.overrides:
+        raise CaseError("--apply: with --set the choice would be that of another case; edit the case file first")
     overrides = dict(parse_override(text) for text in options.overrides)
-    plans = [
-        planned(
-            load_case(path, overrides=overrides, steps=options.steps),
-            tolerance=options.tolerance, dts=options.dts, refinements=options.refine, quick=options.quick,
-        )
-        for path in options.cases
-    ]  # fmt: skip
+    cases = {path: load_case(path, overrides=overrides, steps=options.steps) for path in options.cases}
+    names = [case.name for case in cases.values()]
+    for case in cases.values():
+        if names.count(case.name) > 1:
+            raise case.error("name", f"{case.name!r} is the name of another case too: one folder for both")
+    return list(cases.values())
+
+
+def _print_tradeoff(plan: "Plan", options: argparse.Namespace) -> None:
+    """Run the study of one case and print its answer."""
+    from pipeline.studies.tradeoff import tradeoff
+
     with progress(options.quiet) as bar:
-        found = [
-            tradeoff(
-                plan,
-                options.out / plan.case.name,
-                repeats=options.repeats,
-                scheduler=options.scheduler,
-                write_variant=options.apply,
-                on_point=lambda _, done, total, name=plan.case.name: bar.read(name, done, total),  # type: ignore[misc]
-            )
-            for plan in plans
-        ]
-    for one in found:
-        print(one.sentence)
-        if not options.quiet:
-            print(*(f"  {line}" for line in (*one.lines, *one.made)), sep="\n")
-    return 0
+        found = tradeoff(
+            plan,
+            options.out / plan.case.name,
+            repeats=options.repeats,
+            scheduler=options.scheduler,
+            write_variant=options.apply,
+            on_point=lambda _, done, total: bar.read(plan.case.name, done, total),
+        )
+    print(found.sentence)
+    if not options.quiet:
+        print(*(f"  {line}" for line in (*found.lines, *found.made)), sep="\n", flush=True)
 
 
 STUDIES: Mapping[str, Study] = {

@@ -21,6 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pipeline.errors import PipelineError
+from pipeline.record_keeping import folder_lock
 from pipeline.sinks.atomic import write_whole
 from pipeline.version import VERSION
 
@@ -46,6 +47,9 @@ class Point:
     settings: Mapping[str, Any]
 
 
+OnResult = Callable[[Point, int, int], None]
+
+
 def sweep(
     task: Task,
     points: Sequence[Point],
@@ -53,7 +57,7 @@ def sweep(
     *,
     scheduler: str | None = None,
     timed: bool = False,
-    on_result: Callable[[Point, int, int], None] | None = None,
+    on_result: OnResult | None = None,
 ) -> dict[str, Result]:
     """Return the result of every point by its key, in the order of the points; each is in folder/points/<key>.json.
 
@@ -61,9 +65,17 @@ def sweep(
     infinities become None. What a task raises is its result, {"error": "SolveError: …"}, with "unexpected" where it is
     no PipelineError or its worker was lost. A point that stands in the folder with equal settings, from this version of
     the package and without "unexpected" is not computed again. `timed` points run one at a time. `on_result` gets each
-    point, how many are done and of how many. Raises PipelineError where the scheduler is not there or goes away.
+    point, how many are done and of how many. Raises PipelineError where the scheduler is not there or goes away,
+    CaseError where another sweep is at work in the folder, OutputError.
     """
     _check_keys(points)
+    with folder_lock(folder):
+        return _swept(task, points, folder, scheduler, timed, on_result)
+
+
+def _swept(
+    task: Task, points: Sequence[Point], folder: Path, scheduler: str | None, timed: bool, on_result: OnResult | None
+) -> dict[str, Result]:
     results = {point.key: found for point in points if (found := _stored(point, folder)) is not None}
     missing = [point for point in points if point.key not in results]
     told = 0

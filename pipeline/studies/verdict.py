@@ -116,8 +116,7 @@ def sentence(table: Table) -> str:
     tolerance = plan.tolerance
     chosen, tighter = cheapest(rows, tolerance), cheapest(rows, tolerance / 10)
     if chosen is None:
-        best = min((row for row in rows if isfinite(row.error())), key=lambda row: row.error())
-        text = f"no setting that was run reaches {tolerance:.2%}: {named(best.setting)} is at {best.error():.2%}"
+        text = f"no setting that was run reaches {_percent(tolerance)}" + _nearest(rows)
     else:
         steps, simulated = chosen.costs["seconds_per_step"], 1 / chosen.costs["real_time_factor"]
         text = (
@@ -125,14 +124,19 @@ def sentence(table: Table) -> str:
             f"{1e3 * simulated:.3g} ms a simulated second; "
         )
         if tighter is None:
-            best = min((row for row in rows if isfinite(row.error())), key=lambda row: row.error())
-            text += f"{_percent(tolerance / 10)} was not reached ({_percent(best.error())} by {named(best.setting)})"
+            text += f"{_percent(tolerance / 10)} was not reached" + _nearest(rows)
         else:
             text += f"{_percent(tolerance / 10)} costs {_more(tighter, chosen)} ({named(tighter.setting)})"
     mesh = table.mesh_error(1)
     if isfinite(mesh):
         text += f"; the mesh itself is {_percent(mesh)} from cells x {plan.refinements[-1]}"
     return f"{plan.case.name}: {text}"
+
+
+def _nearest(rows: Sequence[Row]) -> str:
+    """Return the setting of the smallest error and that error, if there is any."""
+    best = min((row for row in rows if isfinite(row.error())), key=lambda row: row.error(), default=None)
+    return "" if best is None else f" ({_percent(best.error())} by {named(best.setting)})"
 
 
 def _more(tighter: Row, chosen: Row) -> str:
