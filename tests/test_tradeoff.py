@@ -101,6 +101,7 @@ def test_a_long_run_is_seen_at_fifty_instants_at_most(tmp_path):
         ({"dts": [float("nan")]}, "not a positive"),
         ({"dts": [1.0]}, "shorter than"),
         ({"refinements": [0]}, "whole numbers"),
+        ({"steps": 0}, "shorter than"),
     ],
 )
 def test_steps_and_refinements_that_do_not_fit_are_refused(tmp_path, keywords, message):
@@ -324,7 +325,8 @@ CHOSEN = Setting(1, "lumped", "bdf2", 0.01, *AUTO)
 
 def test_the_choice_becomes_a_variant_and_the_rest_of_the_file_stays(tmp_path):
     path = write_case(tmp_path)
-    plan = planned(load_case(path, steps=2), tolerance=0.01, quick=True)
+    plan = planned(load_case(path), tolerance=0.01, quick=True, steps=2)
+    assert plan.frames == 2
     path.write_text(path.read_text() + "\n# a last remark\n")
     before = path.read_text()
     apply(plan, CHOSEN, "for 1 % it is enough")

@@ -62,10 +62,15 @@ def _tradeoff(options: argparse.Namespace) -> int:
 
     plans = [
         planned(
-            case, tolerance=options.tolerance, dts=options.dts, refinements=options.refine, quick=options.quick
+            case,
+            tolerance=options.tolerance,
+            dts=options.dts,
+            refinements=options.refine,
+            steps=options.steps,
+            quick=options.quick,
         )
         for case in _tradeoff_cases(options)
-    ]  # fmt: skip
+    ]
     worst = 0
     for plan in plans:
         try:
@@ -85,7 +90,7 @@ def _tradeoff_cases(options: argparse.Namespace) -> list[Case]:
     if options.apply and options.overrides:
         raise CaseError("--apply: with --set the choice would be that of another case; edit the case file first")
     overrides = dict(parse_override(text) for text in options.overrides)
-    cases = {path: load_case(path, overrides=overrides, steps=options.steps) for path in options.cases}
+    cases = {path: load_case(path, overrides=overrides) for path in options.cases}
     names = [case.name for case in cases.values()]
     for case in cases.values():
         if names.count(case.name) > 1:

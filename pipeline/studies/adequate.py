@@ -51,7 +51,7 @@ def _inline(value: Any) -> str:
 
 
 def _overrides(plan: Plan, setting: Setting) -> dict[str, Any]:
-    schedule = load_case(plan.case.path).schedule  # that of the study may be cut
+    schedule = plan.case.schedule
     interval = schedule.dt * schedule.steps_per_frame
     steps = round(interval / setting.dt)
     if steps and abs(interval / setting.dt / steps - 1) < 1e-9:

@@ -23,7 +23,7 @@ from pipeline.variant_run import determining
 COUNTS = ("steps", "solves", "iterations", "factorisations", "rotations")
 _ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")
 _MEASURED, _ENOUGH = 0.5, 5.0  # seconds of all repeats: at least, if need be by more of them, and enough for any
-_MOST_RUNS, _PAIRS = 15, 5
+_MOST_RUNS, _PAIRS = 15, 9
 _BEYOND = 1e3  # body sizes: what has flown so far has no error that is worth a number
 
 

@@ -118,16 +118,21 @@ def planned(
     tolerance: float,
     dts: Sequence[float] = (),
     refinements: Sequence[int] = (),
+    steps: int | None = None,
     quick: bool = False,
 ) -> Plan:
-    """Return the plan of a case; raises CaseError where steps or refinements do not fit it."""
+    """Return the plan of a case as it is without variants, cut to `steps` of its own steps.
+
+    Raises CaseError where steps or refinements do not fit it.
+    """
     build(case.model_copy(update={"variants": {}}).variant(ONLY_VARIANT))  # what is wrong with it is told now
     explicit = case.method.stepper in STEP_LIMITS
     schedule = case.schedule
     # an explicit case's own step says nothing of what implicit ones can take; its frames do
     dt = schedule.dt * (schedule.steps_per_frame if explicit else 1)
     ladder = _ladder(case, dts, [dt * f for f in (QUICK_FACTORS if quick else DT_FACTORS)])
-    end = schedule.dt * schedule.steps_per_frame * schedule.frames
+    own = schedule.steps_per_frame * schedule.frames
+    end = schedule.dt * (own if steps is None else min(steps, own))
     count = int(end / ladder[0] * (1 + _WHOLE))
     if count < 1:
         raise case.error(

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from math import isfinite
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from pipeline.case import Case
@@ -182,11 +183,12 @@ def _lines(table: Table, summary: dict[str, Any], worst: AutoVerdict | None) -> 
 def _bars(summary: dict[str, Any], worst: AutoVerdict | None) -> list[str]:
     """Return what auto costs beside fixed settings, and what the first mode asks of each stepper."""
     lines = []
+    ratios = [one["ratio"] for one in summary["auto"] if one["ratio"] is not None]
     if worst is not None and worst.rival is not None:
         kept = "within" if all(one["kept"] for one in summary["auto"]) else "NOT within"
         lines.append(
-            f"auto: at most {worst.ratio:.2f} times the cheapest fixed setting of the same tolerance "
-            f"({named(worst.rival)}; bar {AUTO_BAR:g}); "
+            f"auto: {median(ratios):.2f} times the cheapest fixed setting of the same tolerance (median), "
+            f"at most {worst.ratio:.2f} ({named(worst.rival)}; bar {AUTO_BAR:g}); "
             f"|J - J_ref| {kept} twice the tolerance"
         )
     mode = summary["first_mode"]
