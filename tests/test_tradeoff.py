@@ -370,8 +370,8 @@ def test_a_file_that_cannot_take_the_variant_is_left_alone(tmp_path):
 
 @pytest.mark.slow
 def test_the_command_prints_the_sentence_and_writes_the_variant(tmp_path, capsys):
-    path = write_case(tmp_path, **PLANAR)
-    arguments = ["study", "tradeoff", str(path), "--quick", "--repeats", "1", "--steps", "2", "--tolerance", "0.3"]
+    path = write_case(tmp_path, **PLANAR, schedule={"dt": 0.02, "frames": 2})
+    arguments = ["study", "tradeoff", str(path), "--quick", "--repeats", "1", "--tolerance", "0.3"]
     assert main([*arguments, "--apply", "--out", str(tmp_path / "out")]) == 0
     out, _ = capsys.readouterr()
     assert out.startswith("beam: for 30 % use ") and "its own error is about" in out and "tradeoff.nc" in out
@@ -391,14 +391,13 @@ def test_the_command_prints_the_sentence_and_writes_the_variant(tmp_path, capsys
         (["--refine", "2", "3"], "--refine 2 does not divide the largest, 3"),
         (["--set", "method.stepper=rk4"], "rk4"),
         (["--scheduler", "tcp://127.0.0.1:1"], "scheduler"),
-        (["--apply", "--set", "schedule.dt=0.01"], "--apply"),
+        (["--apply", "--set", "schedule.dt=0.01"], "that of another case"),
+        (["--apply", "--steps", "2"], "that of the beginning"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(tmp_path, capsys, arguments, message):
     path = write_case(tmp_path)
-    assert (
-        main(["study", "tradeoff", str(path), "--steps", "2", "--quiet", "--out", str(tmp_path / "o"), *arguments]) == 2
-    )
+    assert main(["study", "tradeoff", str(path), "--quiet", "--out", str(tmp_path / "o"), *arguments]) == 2
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1 and message in said[0]
 

@@ -89,6 +89,8 @@ def _tradeoff_cases(options: argparse.Namespace) -> list[Case]:
         raise CaseError(f"--repeats {options.repeats}: is not 1 or more")
     if options.apply and options.overrides:
         raise CaseError("--apply: with --set the choice would be that of another case; edit the case file first")
+    if options.apply and options.steps is not None:
+        raise CaseError("--apply: with --steps the choice would be that of the beginning only; leave --steps out")
     overrides = dict(parse_override(text) for text in options.overrides)
     cases = {path: load_case(path, overrides=overrides) for path in options.cases}
     names = [case.name for case in cases.values()]
