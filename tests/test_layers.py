@@ -20,7 +20,8 @@ ROOMS = (
     "cli __main__"
 ).split()
 HEAVY = frozenset(
-    "pyvista vtk vtkmodules meshio xarray netCDF4 matplotlib numba rich imageio_ffmpeg PIL pandas h5py k3d".split()
+    "pyvista vtk vtkmodules meshio xarray netCDF4 matplotlib numba rich imageio_ffmpeg PIL pandas h5py k3d dask "
+    "distributed".split()
 )
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 45  # of code: docstrings, comments and blank lines are free
