@@ -20,8 +20,16 @@ from pipeline.stepping.symplectic_euler import element_limit
 from pipeline.studies.disturbance import apexes_moved, scrambled
 from pipeline.studies.extremes import EXPLICIT
 
-OUTCOMES = ("survives", "inaccurate", "not_judged", "solve_error", "refused", "unexpected_error")
-SURVIVES, INACCURATE, NOT_JUDGED, SOLVE_ERROR, REFUSED, UNEXPECTED = OUTCOMES
+OUTCOMES: Mapping[str, str] = {
+    "survives": "finite, energy bounded, volumes and positions within the tolerance",
+    "wrong_motion": "volumes within the tolerance, positions or energy not",
+    "wrong_volume": "finite, but volumes are not within the tolerance",
+    "not_judged": "finite, but the converged run that it is judged by failed",
+    "solve_error": "stopped by an error that names the step",
+    "refused": "an error before the first step",
+    "unexpected_error": "neither: a fault of the program",
+}
+SURVIVES, WRONG_MOTION, WRONG_VOLUME, NOT_JUDGED, SOLVE_ERROR, REFUSED, UNEXPECTED = OUTCOMES
 # of energy over what start, loads and supports brought: as the energy guard has it
 _BOUNDED = 10.0
 # the same reference judges every method at a value: a worker that gets some of them makes it once
@@ -56,8 +64,7 @@ class Course:
 def trial(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the outcome of a method at an extreme, and the numbers that it was judged by; all are finite.
 
-    outcome             survives: finite, its energy bounded and both errors below the tolerance; inaccurate: not so;
-                        not_judged: finite, but the reference failed; solve_error and refused: with the message
+    outcome             one of OUTCOMES, the last of which is not told here; an error with its message
     worst_volume_ratio  the J farthest from 1, of the steps that were made; energy_growth the largest kinetic + elastic
                         energy over what start, loads and supports brought
     volume_error        the largest |J - J_reference|, node_distance the largest |x - x_reference| over the size
@@ -74,12 +81,17 @@ def trial(settings: Mapping[str, Any]) -> dict[str, Any]:
         "message": course.message,
     }
     errors = _from_rest(course) if settings["judged"] == "rest" else _from_reference(course, settings)
-    good = course.energy_growth <= _BOUNDED and max(errors.values(), default=0.0) <= settings["tolerance"]
+    return {**NOTHING, **found, **errors, "outcome": _outcome(course, errors, settings["tolerance"])}
+
+
+def _outcome(course: Course, errors: Mapping[str, float], tolerance: float) -> str:
     if course.message:
-        outcome = SOLVE_ERROR
-    else:
-        outcome = NOT_JUDGED if not errors else SURVIVES if good else INACCURATE
-    return {**NOTHING, **found, **errors, "outcome": outcome}
+        return SOLVE_ERROR
+    if not errors:
+        return NOT_JUDGED
+    if errors["volume_error"] > tolerance:
+        return WRONG_VOLUME
+    return SURVIVES if errors["node_distance"] <= tolerance and course.energy_growth <= _BOUNDED else WRONG_MOTION
 
 
 def _case(settings: Mapping[str, Any], changes: Mapping[str, Any]) -> Case:
