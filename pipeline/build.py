@@ -36,8 +36,9 @@ class Problem:
 
 
 def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
-    """Return the problem that a resolved case (or one with a single variant) describes, on another mesh if one is given.
+    """Return the problem that a resolved case (or one with a single variant) describes.
 
+    A mesh that is given takes the place of the case's own.
     Raises CaseError where a name is unknown, a vector has the wrong length, a selection is empty or everything is
     held, and MeshError where the mesh cannot be simulated.
     """

@@ -20,7 +20,7 @@ def scrambled(mesh: Mesh, free: Ints, reach: float, *, seed: int) -> Floats:
 
 
 def apexes_moved(mesh: Mesh, free: Ints, part: float, *, seed: int) -> Floats:
-    """Return the points (n, d), some free nodes moved to the middle of the base of a cell of theirs, by a part of the way.
+    """Return the points (n, d), some free nodes moved by a part of the way to the middle of a cell's base.
 
     At part = 1 - h the cell's height is h of what it was, and no other cell is flatter; beyond 1 the cell is
     inverted. At most eight nodes, chosen by chance, none of which share a cell. Raises MeshError where there is none.

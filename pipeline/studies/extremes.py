@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import degrees
 from typing import Any
 
 from pipeline.case import Case
@@ -67,7 +68,7 @@ def _spun(scene: Scene, angle: float) -> Settings:
     """Return a free body that turns by the angle [rad] in a step, about an axis of no symmetry."""
     rate = _SPIN_SPEED * scene.sound / scene.size
     axis = [0.0, 0.0, 1.0] if scene.dimension == 2 else [1.0, 0.3, 0.2]
-    spin = {"axis": axis, "rate": rate * 180 / 3.141592653589793}
+    spin = {"axis": axis, "rate": degrees(rate)}
     return {
         "changes": {"supports": [], "loads": {}, "initial": {"spin": spin}, "schedule.dt": angle / rate},
         "own_step": True,
@@ -147,7 +148,9 @@ def trial_settings(scene: Scene, name: str, value: float, method: str, *, steps:
     explicit = METHODS[method]["stepper"] == EXPLICIT
     return {
         "case": str(case.path.resolve()),
-        "scene": {key: document[key] for key in ("mesh", "material", "supports", "loads", "initial") if key in document},
+        "scene": {
+            key: document[key] for key in ("mesh", "material", "supports", "loads", "initial") if key in document
+        },
         "changes": {
             "method": {key: document["method"][key] for key in kept},
             "schedule": {"dt": case.schedule.dt, "frames": steps * (EXPLICIT_STEPS if explicit else 1)},
