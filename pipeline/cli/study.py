@@ -119,8 +119,8 @@ def _print_tradeoff(plan: "Plan", options: argparse.Namespace) -> None:
 def _stability_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("case", metavar="CASE", type=Path, help="a case file")
     parser.add_argument("--slice", dest="slices", metavar="NAME", action="append", default=[],
-                        help="only this, may be repeated: "
-                             "dt, spin, poisson_ratio, youngs_modulus, density, sliver, scramble, inversion")  # fmt: skip
+                        help="only this; may be repeated: dt, spin, poisson_ratio, youngs_modulus, density, sliver, "
+                             "scramble, inversion")  # fmt: skip
     parser.add_argument("--steps", type=int, default=50, metavar="N",
                         help="steps of an implicit trial; explicit ones take five times as many (50)")  # fmt: skip
     parser.add_argument("--tolerance", type=float, default=0.05, metavar="T",

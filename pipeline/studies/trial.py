@@ -72,7 +72,7 @@ def trial(settings: Mapping[str, Any]) -> dict[str, Any]:
     try:
         course = _run(_staged(settings, settings["method"]))
     except (CaseError, MeshError) as error:
-        return {**NOTHING, "outcome": REFUSED, "message": str(error)}
+        return {**NOTHING, "outcome": REFUSED, "message": str(error).removeprefix(f"{settings['case']}: ")}
     found = {
         "steps": len(course.x) - 1 if course.x else 0,
         "iterations": course.iterations,
