@@ -10,6 +10,9 @@ so that is tried first and kept only if it ends no higher than phi(x_n).
 tangent = "projected" always descends, and near the end, where it would converge linearly in compression, gives way to
 the exact one; "exact" converges quadratically but may not descend in compression;
 "frozen" (K' of the thesis) converges linearly. The last two are there to be studied.
+
+Where an inverted cell is stretched so far that tr S > d + 2 mu/lam, W has a convex crease; a minimum on it has no
+vanishing gradient, and is an error.
 """
 
 from dataclasses import dataclass
@@ -80,11 +83,18 @@ class Converged:
         found = self.descend(safe, stage, self.limits.iterations)
         work = first.work + found.work
         if not found.converged:
-            raise SolveError(
-                f"Newton did not reach {self.limits.tolerance:g} in {self.limits.iterations} iterations "
-                f"(residual {found.residual:.2g}); try a smaller schedule.dt or a larger method.max_iterations"
-            )
+            raise self._failure(found)
         return (found.x - stage.x_h) / stage.h, work
+
+    def _failure(self, found: _Descent) -> SolveError:
+        count = found.work.iterations
+        said = f"Newton did not reach {self.limits.tolerance:g} in {count} iterations (residual {found.residual:.2g}); "
+        if count < self.limits.iterations:
+            said += (
+                "no step lowers the energy further, as where inverted cells are stretched to several times their size"
+            )
+            return SolveError(f"{said}: try a smaller schedule.dt or a stiffer body")
+        return SolveError(f"{said}try a smaller schedule.dt or a larger method.max_iterations")
 
     def potential(self, x: Floats, stage: Stage) -> float:
         """Return phi(x) [J]."""
