@@ -12,7 +12,6 @@ import numpy as np
 from pipeline.build import build, build_mesh
 from pipeline.case import Case
 from pipeline.errors import CaseError
-from pipeline.record_keeping import folder_lock
 from pipeline.sinks.atomic import write_whole
 from pipeline.statistics import write_dataset
 from pipeline.studies.extremes import METHODS, SLICES, Scene, trial_settings
@@ -113,10 +112,9 @@ def study_stability(
         for method in METHODS
     }  # fmt: skip
     into = folder / case.name
-    with folder_lock(into):
-        found = sweep(trial, list(points.values()), into, scheduler=scheduler, on_result=on_point)
-        results = {place: judged(found[point.key]) for place, point in points.items()}
-        return _written(Stability(case.name, chosen, results, steps, tolerance), into)
+    found = sweep(trial, list(points.values()), into, scheduler=scheduler, on_result=on_point)
+    results = {place: judged(found[point.key]) for place, point in points.items()}
+    return _written(Stability(case.name, chosen, results, steps, tolerance), into)
 
 
 def judged(result: Mapping[str, Any]) -> Mapping[str, Any]:
