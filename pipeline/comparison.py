@@ -33,13 +33,17 @@ def compare(
     for stale in _DRAWN:
         paths[stale].unlink(missing_ok=True)
     title = case.movie.title or case.name.replace("_", " ")
-    dataset, notes = joined({name: read_statistics(folder / name / "statistics.nc") for name in usable}, title=title)
+    statistics = {name: read_statistics(folder / name / "statistics.nc") for name in usable}
+    dataset, notes = joined(statistics, title=title)
     write_dataset(dataset, paths["comparison.nc"])
-    from pipeline.views.plots import energy_figure, volume_figure
+    from pipeline.views.plots import effort_figure, energy_figure, volume_figure
 
     volume_figure(dataset, paths["volume.png"], title=title)
     energy_figure(dataset, paths["energy.png"], title=title)
     made = [paths["comparison.nc"], paths["volume.png"], paths["energy.png"]]
+    if chosen := {name: one for name, one in statistics.items() if one.sizes.get("step")}:
+        effort_figure(chosen, folder / "effort.png", title="The model that each step needed")
+        made.append(folder / "effort.png")
     shown = [name for name in case.movie.variants if name in usable]
     if movie and shown:
         try:
