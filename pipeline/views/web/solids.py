@@ -9,6 +9,7 @@ import re
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.metadata import distribution
 from importlib.resources import files
 from itertools import count
 from typing import Any
@@ -33,9 +34,10 @@ _OUTLINE = 0x8F949F
 
 @dataclass(frozen=True)
 class Solids:
-    """The viewer's program and a scene a body, packed, and `meta` for JSON; notes say which frames are there."""
+    """The viewer's program and a scene a body, packed; `meta` for JSON; notes say which frames are there."""
 
     program: str
+    licences: str  # of the program, which have to travel with it
     scenes: tuple[str, ...]
     meta: dict[str, Any]
     notes: tuple[str, ...]
@@ -84,7 +86,7 @@ def solids(
     points = np.concatenate([drawn_points(track) for track in tracks])
     bounds = (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())
     scenes = tuple(_scene(track, palette, camera.toward, bounds) for track in tracks)
-    return Solids(_program(), scenes, meta, tuple(notes))
+    return Solids(_program(), _licences(), scenes, meta, tuple(notes))
 
 
 def _frames_each(series: Sequence[Series]) -> int:
@@ -160,3 +162,11 @@ def _program() -> str:
     program = re.sub(rb"data:font/woff2;base64,[A-Za-z0-9+/=]+", b"data:,", program)
     program = re.sub(rb',url\(fonts/[^)]*\) format\("\w+"\)', b"", program)
     return base64.b64encode(zlib.compress(program, 9)).decode("ascii")
+
+
+def _licences() -> str:
+    """Return the licences of k3d and of what is inside its viewer."""
+    own = [
+        path.read_text() for path in distribution("k3d").files or () if path.parts[-2:] == ("licenses", "LICENSE.txt")
+    ]
+    return "\n".join([*own, files("k3d").joinpath("static/standalone.js.LICENSE.txt").read_text(encoding="utf-8")])
