@@ -8,7 +8,7 @@ BROWSERS := chromium chromium-browser google-chrome google-chrome-stable
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run report bench test test-web browser quick lint clean
+.PHONY: help setup run report bench test test-web browser quick fuzz lint clean
 
 help: ## Show this list
 	@echo "usage: make TARGET [PYTHON=python3.12] [WORKERS=4]"
@@ -58,6 +58,9 @@ browser: ## As root on Debian: Chromium, which the tests of the web page drive
 
 quick: setup ## The tests that take no more than a few seconds each
 	$(PYTEST) -m "not slow"
+
+fuzz: setup ## 10 000 bad inputs, 100 kills at random moments; half an hour
+	PIPELINE_FUZZ=10000 PIPELINE_KILLS=100 $(PYTEST) tests/test_fuzz.py tests/test_faults.py -k "files or kill_9"
 
 lint: .venv/installed ## ruff check, ruff format --check, mypy
 	$(BIN)/ruff check .

@@ -4,12 +4,15 @@ import os
 import shutil
 import tomllib
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
 
-from pipeline.errors import OutputError
+from pipeline.errors import OutputError, PipelineError
+from pipeline.foreign.reader import Reader
 from pipeline.opengl import ensure_opengl
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -50,6 +53,17 @@ def installed(tmp_path: Path, project_root: Path) -> dict[str, str]:
     lines = [f"{name} = {target}" for name, target in entry.items()]
     (info / "entry_points.txt").write_text("[xarray.backends]\n" + "\n".join(lines) + "\n")
     return os.environ | {"PYTHONPATH": os.pathsep.join([str(info.parent), str(project_root)])}
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files of others are read in this process, where a test can change what reads them."""
+
+    def here(self: Reader, function: str, file: Path, *arguments: object, error: type[PipelineError]) -> Any:
+        module, _, name = function.partition(":")
+        return getattr(import_module(module), name)(file, *arguments)
+
+    monkeypatch.setattr(Reader, "read", here)
 
 
 @pytest.fixture(scope="session")

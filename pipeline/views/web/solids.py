@@ -122,7 +122,7 @@ def _scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[float, 
         grid_visible=False, menu_visibility=False, camera_auto_fit=False, axes_helper=0,
         grid_auto_fit=False, grid=bounds,  # what the viewer reckons from how far it has to see
         colorbar_object_id=0, time_interpolation=False, camera_fov=20.0,
-        lighting=1.9,  # a face toward the viewer then has the colour of the bar
+        lighting=1.5 if track.dimension == 3 else 1.15,  # faces that look at the viewer have the colours of the bar
     )  # fmt: skip
     plot += k3d.mesh(points, faces, triangles_attribute=colours, name="body", **look)
     if len(faces) <= MOST_EDGES:
