@@ -165,8 +165,10 @@ def test_keys_and_mouse_turn_all_bodies_alike(page):
 
 
 def test_bodies_can_be_left_out(page):
+    before = pixels(page, ".view", 1)
     page.get_by_label("linear", exact=True).uncheck()
     assert page.locator(".body:visible").count() == 1
+    assert pixels(page, ".view", 1).shape[1] > before.shape[1], "what is left has the room"
     page.get_by_label("linear", exact=True).check()
     assert page.locator(".body:visible").count() == 2
 

@@ -203,8 +203,11 @@ def test_a_variant_that_failed_and_one_that_is_missing(tmp_path, monkeypatch):
     text = report_of_folder(folder).read_text(encoding="utf-8")
     assert "linear failed: it &lt;blew&gt; up" in text
     assert "polar is not shown: it is not finished" in text
+    (folder / "case.toml").write_text((folder / "case.toml").read_text().replace("frames = 4", "frames = 5"))
+    with pytest.raises(OutputError, match=r"of another case \(schedule.frames: 4 there, 5 here\); pipeline run"):
+        report_of_folder(folder)
     run.write_text(json.dumps(json.loads(run.read_text()) | {"status": "running"}))
-    with pytest.raises(OutputError, match="no variant of this case is finished"):
+    with pytest.raises(OutputError, match="nothing to report: linear is not shown: it is not finished; pipeline run"):
         report_of_folder(folder)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pipeline.mesh.simplex import Floats, Ints
 from pipeline.series import Series
-from pipeline.views.camera import fit_camera
+from pipeline.views.camera import Camera, fit_camera
 from pipeline.views.motion import Track, colour_radius, drawn_points, read_track, sharp_edges, surface
 from pipeline.views.scene import INVERTED, Palette
 from pipeline.views.web.curves import numbers
@@ -74,8 +74,8 @@ def solids(
     radius, camera = colour_radius(tracks), fit_camera(tracks)
     palette = Palette(radius)
     meta = {
-        "bodies": [{"label": t.label, "times": numbers(t.times, digits=9)} for t in tracks],
-        "camera": {name: numbers(getattr(camera, name)) for name in ("toward", "right", "up", "low", "high", "centre")},
+        "bodies": [_body(track, camera) for track in tracks],
+        "camera": {name: numbers(getattr(camera, name)) for name in ("right", "up", "toward")},
         "radius": radius,
         "below": bool(min(float(np.nanmin(t.low)) for t in tracks) < 1 - radius),
         "above": bool(max(float(np.nanmax(t.high)) for t in tracks) > 1 + radius),
@@ -87,6 +87,13 @@ def solids(
     bounds = (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())
     scenes = tuple(_scene(track, palette, camera.toward, bounds) for track in tracks)
     return Solids(_program(), _licences(), scenes, meta, tuple(notes))
+
+
+def _body(track: Track, camera: Camera) -> dict[str, Any]:
+    """Return a body's name, the times of its frames, and its bounds along the camera's right, up and toward."""
+    seen = drawn_points(track) @ np.stack([camera.right, camera.up, camera.toward]).T
+    bounds = {"low": numbers(seen.min(axis=0)), "high": numbers(seen.max(axis=0))}
+    return {"label": track.label, "times": numbers(track.times, digits=9), **bounds}
 
 
 def _frames_each(series: Sequence[Series]) -> int:
@@ -126,7 +133,7 @@ def _scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[float, 
     )  # fmt: skip
     plot += k3d.mesh(points, faces, triangles_attribute=colours, name="body", **look)
     if len(faces) <= MOST_EDGES:
-        plot += k3d.mesh(points, faces, color=0x21262F, wireframe=True, opacity=0.35, name="edges")
+        plot += k3d.mesh(points, faces, color=0x21262F, wireframe=True, opacity=0.25, name="edges")
     crease, contour = sharp_edges(track.rest, track.faces, toward)
     edges: Ints = np.concatenate([crease, contour])
     plot += k3d.lines(
