@@ -78,11 +78,27 @@ def draw_movie(
 def recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
     """Return run.json of every variant that has frames of this very case, by name."""
     runs = {name: read_run(folder / name) for name in case.variant_names}
-    return {
-        name: run
-        for name, run in runs.items()
-        if run.get("frames") and run["case"] == determining(settled(case.variant(name)))
-    }
+    return {name: run for name, run in runs.items() if run.get("frames") and _is_of(run, case, folder / name)}
+
+
+def _is_of(run: dict[str, Any], case: Case, folder: Path) -> bool:
+    """Return whether a variant's run is one of this case, which may be that in the result folder.
+
+    A mesh file is named relative to its case file, so from elsewhere by another text: the variant's own case.toml
+    tells which file it is.
+    """
+    wanted = determining(settled(case.variant(folder.name)))
+    if run["case"] == wanted:
+        return True
+    kept = folder / "case.toml"
+    if case.mesh_path is None or not kept.is_file():
+        return False
+    same = load_case(kept).mesh_path
+    return (
+        same is not None
+        and same.resolve() == case.mesh_path.resolve()
+        and run["case"] | {"mesh": run["case"]["mesh"] | {"file": wanted["mesh"]["file"]}} == wanted
+    )
 
 
 def movie_of_folder(folder: Path, *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
