@@ -239,10 +239,11 @@ class ScheduleSpec(Spec):
 
 
 class OutputSpec(Spec):
-    """How frames are written; the seconds of wall time between two checkpoints, which no result depends on."""
+    """How frames are written; the wall time or the frames between two checkpoints, which no result depends on."""
 
     format: Annotated[str, choice("vtu")] = "vtu"
     checkpoint_seconds: Positive = 10.0
+    checkpoint_frames: Count | None = None
 
 
 class MovieSpec(Spec):
