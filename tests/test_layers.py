@@ -16,7 +16,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # A module imports only from its own room and rooms before it; `__init__` is what `import pipeline` gives.
 ROOMS = (
     "version errors foreign case mesh fem stepping methods conditions build frame measures run sinks series statistics "
-    "opengl views analysis record_keeping failure variant_run comparison campaign check reproduction studies "
+    "opengl views analysis record_keeping disk failure variant_run comparison campaign check reproduction studies "
     "__init__ cli __main__"
 ).split()
 HEAVY = frozenset(
