@@ -409,13 +409,16 @@ def test_a_lock_file_that_was_removed_while_it_was_waited_for_is_made_again(tmp_
         assert len(opened) == 2 and (tmp_path / LOCK).exists()
 
 
-def test_output_removed_while_it_is_written_is_an_error_or_made_again_never_a_traceback(tmp_path, monkeypatch):
+@pytest.mark.parametrize("whole_case", [False, True])
+def test_output_removed_while_it_is_written_is_an_error_or_made_again_never_a_traceback(
+    tmp_path, monkeypatch, whole_case
+):
     genuine = variant_run.VariantRun._on_frame
 
     def removing(self, frame, measured, summary):
         genuine(self, frame, measured, summary)
         if frame.index == 2:
-            shutil.rmtree(self.folder)
+            shutil.rmtree(self.folder.parent if whole_case else self.folder)
 
     path = written(tmp_path)
     whole = solve(path, tmp_path / "whole").variants[0]
