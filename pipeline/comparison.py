@@ -9,6 +9,7 @@ from pipeline.build import settled
 from pipeline.case import Case, load_case
 from pipeline.errors import OutputError
 from pipeline.series import read_series
+from pipeline.sinks.formats import FORMATS
 from pipeline.statistics import joined, read_statistics, write_dataset
 from pipeline.variant_run import UNFINISHED, determining, read_run
 
@@ -78,7 +79,14 @@ def draw_movie(
 def recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
     """Return run.json of every variant that has frames of this very case, by name."""
     runs = {name: read_run(folder / name) for name in case.variant_names}
-    return {name: run for name, run in runs.items() if run.get("frames") and _is_of(run, case, folder / name)}
+    return {
+        name: run for name, run in runs.items() if _has_frames(run, folder / name) and _is_of(run, case, folder / name)
+    }
+
+
+def _has_frames(run: dict[str, Any], folder: Path) -> bool:
+    """Return whether there is a frame; a killed run has not said how many."""
+    return bool(run) and (bool(run.get("frames")) or any((folder / one.index).is_file() for one in FORMATS.values()))
 
 
 def _is_of(run: dict[str, Any], case: Case, folder: Path) -> bool:
