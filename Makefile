@@ -3,10 +3,12 @@ PYTHON ?= python3
 WORKERS ?= 2
 BIN := .venv/bin
 OPENGL_PACKAGES := libegl1 libgl1-mesa-dri
+BROWSER_PACKAGES := chromium
+BROWSERS := chromium chromium-browser google-chrome google-chrome-stable
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run report bench test quick lint clean
+.PHONY: help setup run report bench test test-web browser quick fuzz lint clean
 
 help: ## Show this list
 	@echo "usage: make TARGET [PYTHON=python3.12] [WORKERS=4]"
@@ -34,11 +36,30 @@ report: setup ## Every scene in full, from nothing -> outputs/reproduction.html 
 bench: setup ## What a step costs beside plain scipy, in one run; minutes
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.steps --large
 
-test: setup lint ## Everything that CI runs: lint, then all tests
+test: setup browser lint ## Everything that CI runs: lint, then all tests
 	$(PYTEST)
+
+test-web: setup browser ## The tests of the web page in a browser alone
+	$(PYTEST) -m browser
+
+browser: ## As root on Debian: Chromium, which the tests of the web page drive
+	@for name in $(BROWSERS); do command -v $$name >/dev/null && exit 0; done; \
+	line="apt-get install -y --no-install-recommends $(BROWSER_PACKAGES)"; \
+	if [ "$$PIPELINE_SKIP_BROWSER" = 1 ]; then \
+		echo "PIPELINE_SKIP_BROWSER=1: no browser is installed, the web page is NOT tested in one"; \
+	elif [ "$$(id -u)" = 0 ] && [ -e /etc/debian_version ] && command -v apt-get >/dev/null; then \
+		echo "installing a browser for the tests: apt-get update && $$line"; \
+		export DEBIAN_FRONTEND=noninteractive; \
+		apt-get update -qq && $$line -qq >/dev/null || echo "Chromium could not be installed"; \
+	else \
+		echo "no browser: the tests of the web page will fail; on Debian: sudo $$line (or PIPELINE_SKIP_BROWSER=1)"; \
+	fi
 
 quick: setup ## The tests that take no more than a few seconds each
 	$(PYTEST) -m "not slow"
+
+fuzz: setup ## 10 000 bad inputs, 100 kills at random moments; half an hour
+	PIPELINE_FUZZ=10000 PIPELINE_KILLS=100 $(PYTEST) tests/test_fuzz.py tests/test_faults.py -k "files or kill_9"
 
 lint: .venv/installed ## ruff check, ruff format --check, mypy
 	$(BIN)/ruff check .

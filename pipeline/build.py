@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.case import Case, MethodSpec
+from pipeline.case.values import shown
 from pipeline.conditions import dead_load, initial_state, supports
 from pipeline.errors import MeshError
 from pipeline.fem.body import Body
@@ -35,9 +36,10 @@ class Problem:
         return STEPPERS[self.method.stepper](self.body, self.dt, self.method)
 
 
-def build(case: Case) -> Problem:
+def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
     """Return the problem that a resolved case (or one with a single variant) describes.
 
+    A mesh that is given takes the place of the case's own.
     Raises CaseError where a name is unknown, a vector has the wrong length, a selection is empty or everything is
     held, and MeshError where the mesh cannot be simulated.
     """
@@ -48,7 +50,7 @@ def build(case: Case) -> Problem:
     case = settled(case)
     _check_method(case)
     mesh_notes: list[str] = []
-    mesh = build_mesh(case, note=mesh_notes.append)
+    mesh = build_mesh(case, note=mesh_notes.append) if mesh is None else mesh
     m = case.material
     material = Material(m.youngs_modulus, m.poisson_ratio, m.density)
     auto = case.method.model == "auto"
@@ -138,7 +140,7 @@ def _check_step(case: Case, body: Body) -> None:
 
 def _chosen(case: Case, key: str, name: str, table: Mapping[str, Any]) -> str:
     if name not in table:
-        raise case.error(key, f"{name!r} is not one of {', '.join(table)}")
+        raise case.error(key, f"{shown(name)} is not one of {', '.join(table)}")
     return name
 
 

@@ -24,7 +24,7 @@ def compare(
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> tuple[list[Path], list[str]]:
     """Join and draw every variant in the folder that is a result of this case; return the files made and notes."""
-    usable = [name for name, run in _recorded(case, folder).items() if run["status"] not in UNFINISHED]
+    usable = [name for name, run in recorded(case, folder).items() if run["status"] not in UNFINISHED]
     if not usable:
         return [], ["no variant left a frame: nothing to compare"]
     paths = {n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png")}
@@ -71,7 +71,7 @@ def draw_movie(
     return path
 
 
-def _recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
+def recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
     """Return run.json of every variant that has frames of this very case, by name."""
     runs = {name: read_run(folder / name) for name in case.variant_names}
     return {
@@ -84,8 +84,8 @@ def _recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
 def movie_of_folder(folder: Path, *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
     """Draw the movie of a result folder again, from its frames alone; raises PipelineError where it is not one."""
     case = load_case(folder / "case.toml")
-    recorded = _recorded(case, folder)
-    shown = [name for name in case.movie.variants if name in recorded]
+    runs = recorded(case, folder)
+    shown = [name for name in case.movie.variants if name in runs]
     if not shown:
         raise OutputError(f"{folder}: none of {', '.join(case.movie.variants)} has a recorded frame of this case")
     return draw_movie(case, folder, shown, on_drawing=on_drawing)

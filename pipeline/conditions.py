@@ -90,6 +90,7 @@ def _axis(case: Case, key: str, spin: SpinSpec, d: int) -> Floats:
     axis = np.array(spin.axis, dtype=np.float64)
     if d == 2 and axis[:2].any():
         raise case.error(f"{key}.axis", f"{list(spin.axis)} is not along z; the mesh is planar")
+    axis /= np.abs(axis).max()  # squares of what is tiny are zero
     return np.asarray(axis / np.linalg.norm(axis))
 
 

@@ -6,6 +6,8 @@ A new law, rotation, stepper, linear solver or shape is one file and one row her
 from collections.abc import Callable, Mapping, Sequence
 from typing import cast
 
+import numpy as np
+
 from pipeline.case import MethodSpec
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Corotational, Law, Linear, Tangent
@@ -23,6 +25,7 @@ from pipeline.stepping.implicit import FrozenPasses, Prefactored, StageSolver
 from pipeline.stepping.inversion import Crossing, Last, Treatment
 from pipeline.stepping.linear_solve import BlockJacobiCG, LinearSolver, SuperLU, automatic
 from pipeline.stepping.newton import Converged, NewtonLimits
+from pipeline.stepping.pardiso import Pardiso
 from pipeline.stepping.state import Stepper
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
 from pipeline.stepping.warped import WarpedCG
@@ -42,6 +45,7 @@ LINEAR_SOLVERS: Mapping[str, Callable[..., LinearSolver]] = {
     "auto": automatic,
     "banded": BandedCholesky,
     "superlu": SuperLU,
+    "pardiso": Pardiso,
     "warped": WarpedCG,
     "cg": BlockJacobiCG,
 }
@@ -77,7 +81,7 @@ STEP_LIMITS: Mapping[str, tuple[Callable[[Body], float], Callable[[Body], float]
 
 def stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     """Return what solves the implicit stages of size h [s]: as far as the method's law and iterations ask."""
-    pattern, _ = body.free_pattern
+    pattern = body.free_pattern
     made = LINEAR_SOLVERS[method.linear_solver]
     if body.law.constant_tangent:
         return Prefactored(body, made(pattern, method.linear_rtol, None), h)
@@ -92,13 +96,18 @@ def stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
 
 def _rest_system(body: Body, h: float) -> Callable[[], Floats]:
     """Return what gives the values of M + h^2 K at rest on the free nodes, when asked."""
-    _, free_blocks = body.free_pattern
-    return lambda: (body.mass + h**2 * body.linearise(body.mesh.points)[1])[free_blocks]
+
+    def values() -> Floats:
+        A = np.empty_like(body.mass)
+        body.system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
+        return A[: body.free_pattern.blocks]
+
+    return values
 
 
 def _auto(body: Body, h: float, method: MethodSpec) -> StageSolver:
     """Return the ladder of all three; the linear rung keeps its factor, so it has a solver of its own."""
-    pattern, _ = body.free_pattern
+    pattern = body.free_pattern
     made = LINEAR_SOLVERS[method.linear_solver]
     limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
     linear = Body(body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs)
@@ -165,6 +174,7 @@ DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
         "warped": "conjugate gradients with the rest state's factor turned along, to method.linear_rtol; larger meshes",
         "banded": "Cholesky of the band, factors every new matrix; fastest on small meshes",
         "superlu": "sparse direct, factors every new matrix",
+        "pardiso": "sparse direct by Intel MKL (the `fast` extra), factors every new matrix; positive definite ones",
         "cg": "conjugate gradients with block Jacobi to method.linear_rtol: for small steps",
     },
     "mesh.split": {

@@ -1,17 +1,23 @@
-"""What every test gets: paths, VTK's errors as failures, OpenGL found before the first picture."""
+"""What every test gets: paths, VTK's errors as failures, OpenGL and a browser found before they are needed."""
 
 import os
+import shutil
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
 
-from pipeline.errors import OutputError
+from pipeline.errors import OutputError, PipelineError
+from pipeline.foreign.reader import Reader
 from pipeline.opengl import ensure_opengl
 
 ROOT = Path(__file__).resolve().parent.parent
 SKIP_OPENGL = os.environ.get("PIPELINE_SKIP_OPENGL") == "1"
+SKIP_BROWSER = os.environ.get("PIPELINE_SKIP_BROWSER") == "1"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 # The same examples every time, on slow machines too: a failure seen once is seen again.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
@@ -34,6 +40,17 @@ def outputs(tmp_path: Path) -> Path:
     folder = tmp_path / "outputs"
     folder.mkdir()
     return folder
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files of others are read in this process, where a test can change what reads them."""
+
+    def here(self: Reader, function: str, file: Path, *arguments: object, error: type[PipelineError]) -> Any:
+        module, _, name = function.partition(":")
+        return getattr(import_module(module), name)(file, *arguments)
+
+    monkeypatch.setattr(Reader, "read", here)
 
 
 @pytest.fixture(scope="session")
@@ -64,9 +81,24 @@ def vtk_errors(_vtk_error_log: list[str]) -> Iterator[list[str]]:
         pytest.fail("VTK reported:\n" + "\n".join(_vtk_error_log), pytrace=False)
 
 
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """Path of the browser that the tests marked `browser` drive."""
+    return browser_path() or ""
+
+
+def browser_path() -> str | None:
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    if item.get_closest_marker("opengl") is None:
-        return
+    if item.get_closest_marker("opengl") is not None:
+        _need_opengl()
+    if item.get_closest_marker("browser") is not None:
+        _need_browser()
+
+
+def _need_opengl() -> None:
     if SKIP_OPENGL:
         pytest.skip("PIPELINE_SKIP_OPENGL=1: pictures are NOT tested")
     missing = None
@@ -76,3 +108,14 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         missing = f"{error}. PIPELINE_SKIP_OPENGL=1 skips these tests aloud"
     if missing:
         pytest.fail(missing, pytrace=False)
+
+
+def _need_browser() -> None:
+    if SKIP_BROWSER:
+        pytest.skip("PIPELINE_SKIP_BROWSER=1: the web page is NOT tested in a browser")
+    if browser_path() is None:
+        pytest.fail(
+            f"no browser ({', '.join(BROWSERS)}); on Debian: apt-get install -y --no-install-recommends chromium. "
+            "PIPELINE_SKIP_BROWSER=1 skips these tests aloud",
+            pytrace=False,
+        )

@@ -1,13 +1,18 @@
 """Every linear solver gives the same motion, and says so where a matrix is none that it can take."""
 
+import sys
+
 import numpy as np
 import pytest
 
 from pipeline import build, frames, load_case
 from pipeline.errors import SolveError
+from pipeline.fem.assembly import assemble_pattern
 from pipeline.mesh.shapes import box
 from pipeline.methods import LINEAR_SOLVERS
+from pipeline.stepping import linear_solve, pardiso, warped
 from pipeline.stepping.banded import Band, BandedCholesky
+from pipeline.stepping.pardiso import Pardiso
 from pipeline.stepping.warped import WarpedCG
 
 
@@ -27,27 +32,60 @@ def test_all_solvers_give_the_same_trajectory(cases_folder, variant: str) -> Non
         assert apart <= 1e-6 * size, name
 
 
-@pytest.mark.parametrize("band_megabytes", [60.0, 0.0], ids=["banded", "sparse"])
-def test_warped_takes_one_factor_for_the_whole_run(cases_folder, monkeypatch, band_megabytes: float) -> None:
-    monkeypatch.setattr("pipeline.stepping.warped._BAND_MEGABYTES", band_megabytes)
+FACTORS = ["banded", "mkl", "cholmod", "superlu"]
+
+
+def only(monkeypatch, factor: str) -> None:
+    """Let nothing but this factor of the state at rest be there."""
+    if factor != "banded":
+        monkeypatch.setattr(warped, "_SMALL_BAND", 0.0)
+        monkeypatch.setattr(warped, "_LARGE_BAND", 0.0)
+    if factor in ("cholmod", "superlu"):
+        monkeypatch.setattr(pardiso, "library", lambda: None)
+    if factor == "superlu":
+        monkeypatch.setitem(sys.modules, "cholespy", None)  # as if it were not installed
+
+
+@pytest.mark.parametrize("factor", FACTORS)
+def test_warped_takes_one_factor_for_the_whole_run(cases_folder, monkeypatch, factor: str) -> None:
+    only(monkeypatch, factor)
     overrides = {"method.linear_solver": "warped", "schedule.frames": 10}
     run = frames(build(load_case(cases_folder / "bar.toml", overrides=overrides).variant("polar")))
-    counts = [frame.work.factorisations for frame in run]
-    assert counts == [0, 1, *[0] * 9]
+    work = [frame.work for frame in run]
+    assert [one.factorisations for one in work] == [0, 1, *[0] * 9]
+    assert all(1 < one.linear_iterations < 60 for one in work[1:])
 
 
-def test_warped_without_its_optional_factor_gives_the_same(cases_folder, monkeypatch) -> None:
-    with_any = path(cases_folder, "warped", "polar", **{"schedule.frames": 20})
-    monkeypatch.setattr("pipeline.stepping.warped._BAND_MEGABYTES", 0.0)
-    monkeypatch.setitem(__import__("sys").modules, "cholespy", None)  # as if it were not installed
-    without = path(cases_folder, "warped", "polar", **{"schedule.frames": 20})
-    assert np.abs(with_any[-1] - without[-1]).max() < 1e-5
+@pytest.mark.parametrize("factor", FACTORS)
+def test_warped_gives_the_same_with_every_factor(cases_folder, monkeypatch, factor: str) -> None:
+    expected = path(cases_folder, "superlu", "polar", **{"schedule.frames": 20})
+    only(monkeypatch, factor)
+    found = path(cases_folder, "warped", "polar", **{"schedule.frames": 20})
+    assert np.abs(found[-1] - expected[-1]).max() < 1e-5
+    pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
+    unit = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
+    assert warped.rest_factor(pattern, unit).name == factor
 
 
-@pytest.mark.parametrize("solver", [BandedCholesky, WarpedCG])
+@pytest.mark.parametrize("solver", ["superlu", "pardiso"])
+def test_without_mkl_large_constant_matrices_go_to_superlu(monkeypatch, solver: str) -> None:
+    monkeypatch.setattr(linear_solve, "_CONSTANT_BAND", 0.0)
+    monkeypatch.setattr(linear_solve, "_CONSTANT_BAND_WITHOUT_MKL", 0.0)
+    if solver == "superlu":
+        monkeypatch.setattr(linear_solve, "library", lambda: None)
+    pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
+    assert type(LINEAR_SOLVERS["auto"](pattern, 1e-8, None)) is LINEAR_SOLVERS[solver]
+
+
+def test_pardiso_without_mkl_says_what_to_install(monkeypatch) -> None:
+    monkeypatch.setattr(pardiso, "library", lambda: None)
+    pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
+    with pytest.raises(SolveError, match=r"pip install 'corotational-pipeline\[fast\]'"):
+        LINEAR_SOLVERS["pardiso"](pattern, 1e-8, None)
+
+
+@pytest.mark.parametrize("solver", [BandedCholesky, WarpedCG, Pardiso])
 def test_an_indefinite_matrix_is_an_error(solver) -> None:
-    from pipeline.fem.assembly import assemble_pattern
-
     pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
     good = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
     bad = good.copy()
@@ -61,16 +99,14 @@ def test_an_indefinite_matrix_is_an_error(solver) -> None:
 
 
 def test_a_band_holds_every_entry_once() -> None:
-    from pipeline.fem.assembly import assemble_pattern
-
     pattern = assemble_pattern(box([1.0, 2.0, 1.0], [2, 3, 2])).pattern
     rng = np.random.default_rng(0)
-    values = rng.normal(size=(len(pattern.indices), 3, 3))
+    values = rng.normal(size=(pattern.blocks, 3, 3))
+    values[pattern.diagonal] += np.swapaxes(values[pattern.diagonal], 1, 2) + 100 * np.eye(3)
     full = pattern.matrix(values).toarray()
-    full = full + full.T + 100 * np.eye(len(full))
-    blocks = full.reshape(pattern.nodes, 3, pattern.nodes, 3)[pattern.rows, :, pattern.indices, :]
+    np.testing.assert_array_equal(full, full.T)
     solver = BandedCholesky(pattern)
-    solver.update(blocks)
+    solver.update(values)
     b = rng.normal(size=(pattern.nodes, 3))
     x, _ = solver.solve(b, b)
     np.testing.assert_allclose(full @ x.ravel(), b.ravel(), atol=1e-12)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import MeshError
+from pipeline.mesh import shapes
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh, component_labels, quality
@@ -169,3 +170,18 @@ def test_a_file_that_is_no_mesh_is_one_line_and_the_library_prints_nothing(tmp_p
         read_mesh(path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_shape_larger_than_the_memory_is_refused_before_it_is_built(monkeypatch):
+    monkeypatch.setattr(shapes, "_free_memory", lambda: 1e6)
+    with pytest.raises(MeshError, match=r"6000 cells take 0.00162 GB to build and more to solve; 0.001 GB of memory"):
+        shapes.box((1, 1, 1), (10, 10, 10))
+    monkeypatch.undo()
+    with pytest.raises(MeshError, match="take fewer cells"):
+        shapes.box((1, 1, 1), (2**31 - 1, 2**31 - 1, 1))
+
+
+@pytest.mark.parametrize("size", [1e40, 1e200, np.inf, np.nan])
+def test_a_mesh_too_large_for_its_numbers_is_refused(size):
+    with pytest.raises(MeshError, match=r"not finite, or farther than 1e\+30"):
+        Mesh(np.array([[0, 0, 0], [size, 0, 0], [0, 1, 0], [0, 0, 1.0]]), np.array([[0, 1, 2, 3]]))

@@ -173,7 +173,7 @@ def test_gmsh_files_with_names_boundary_and_a_geometry_point(tmp_path, text, cap
     assert capfd.readouterr() == ("", "")
 
 
-def test_the_package_that_a_format_needs_is_named(tmp_path, monkeypatch):
+def test_the_package_that_a_format_needs_is_named(tmp_path, in_process, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
     path = tmp_path / "it.xdmf"
     path.write_text(XDMF)
@@ -370,7 +370,7 @@ def test_a_folder_and_a_missing_file_are_no_mesh(tmp_path):
             read_mesh(path)
 
 
-def test_what_meshio_says_while_it_reads_is_a_note(tmp_path, monkeypatch, capfd):
+def test_what_meshio_says_while_it_reads_is_a_note(tmp_path, in_process, monkeypatch, capfd):
     path = written(tmp_path / "it.vtu", TWO, [("tetra", TWO_CELLS)])
     real = meshio.read
 

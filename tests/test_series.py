@@ -203,7 +203,7 @@ def test_xdmf_time_series(tmp_path):
     assert any("field u is taken" in note for note in series.notes)
 
 
-def test_xdmf_with_hdf5_says_what_to_install(tmp_path, monkeypatch):
+def test_xdmf_with_hdf5_says_what_to_install(tmp_path, in_process, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)  # as if it were not installed
     path = xdmf(tmp_path / "a.xdmf")
     text = path.read_text().replace('Format="XML"', 'Format="HDF"')

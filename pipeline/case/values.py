@@ -11,6 +11,8 @@ from pydantic_core import PydanticCustomError
 # Counts and node numbers stay in 32 bits, as they do in VTK files and in compiled kernels.
 LARGEST_INTEGER = 2**31 - 1
 LONGEST_QUOTE = 60
+# Energies multiply six such numbers, which double precision holds.
+LARGEST_NUMBER, SMALLEST_POSITIVE = 1e30, 1e-30
 FOLDER_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -52,6 +54,8 @@ def _number(value: Any) -> float:
         raise fault(f"{shown(value)} is too large") from None
     if not math.isfinite(number):
         raise fault(f"{shown(value)} is not finite")
+    if abs(number) > LARGEST_NUMBER:
+        raise fault(f"{shown(value)} is too large; numbers go up to {LARGEST_NUMBER:g}")
     return number
 
 
@@ -59,12 +63,14 @@ def _positive(value: Any) -> float:
     number = _number(value)
     if number <= 0:
         raise fault(f"{shown(value)} is not positive")
+    if number < SMALLEST_POSITIVE:
+        raise fault(f"{shown(value)} is too small; positive numbers start at {SMALLEST_POSITIVE:g}")
     return number
 
 
 def _fraction(value: Any) -> float:
     number = _number(value)
-    if not 0 < number < 1:
+    if not SMALLEST_POSITIVE <= number < 1:
         raise fault(f"{shown(value)} is not between 0 and 1")
     return number
 

@@ -118,6 +118,40 @@ def _print_tradeoff(plan: "Plan", options: argparse.Namespace) -> None:
         print(*(f"  {line}" for line in (*found.lines, *found.made)), sep="\n", flush=True)
 
 
+def _stability_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("case", metavar="CASE", type=Path, help="a case file")
+    parser.add_argument("--slice", dest="slices", metavar="NAME", action="append", default=[],
+                        help="only this; may be repeated: dt, spin, poisson_ratio, youngs_modulus, density, sliver, "
+                             "scramble, inversion")  # fmt: skip
+    parser.add_argument("--steps", type=int, default=50, metavar="N",
+                        help="steps of an implicit trial; explicit ones take five times as many (50)")  # fmt: skip
+    parser.add_argument("--tolerance", type=float, default=0.05, metavar="T",
+                        help="what survives: worst |J - J_ref|, and worst node distance over size (0.05)")  # fmt: skip
+    parser.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
+                        help="change a key first, such as initial.factor=1; may be repeated")  # fmt: skip
+
+
+def _stability(options: argparse.Namespace) -> int:
+    from pipeline.studies.stability import study_stability
+
+    case = load_case(options.case, overrides=dict(parse_override(text) for text in options.overrides))
+    with progress(options.quiet) as bar:
+        found = study_stability(
+            case,
+            options.out,
+            slices=options.slices,
+            steps=options.steps,
+            tolerance=options.tolerance,
+            scheduler=options.scheduler,
+            on_point=lambda _, done, total: bar.read(case.name, done, total),
+        )
+    print(*found.sentences(), sep="\n")
+    if not options.quiet:
+        print(*(f"  {path}" for path in found.made), sep="\n")
+    return 0
+
+
 STUDIES: Mapping[str, Study] = {
+    "stability": Study("what breaks at the extremes, method by method", _stability_arguments, _stability),
     "tradeoff": Study("which setting is enough: work against precision", _tradeoff_arguments, _tradeoff),
 }

@@ -25,8 +25,8 @@ class Bars:
     def solved(self, name: str, problem: Problem, frame: Frame, measured: Values, summary: RunSummary) -> None:
         """Show a frame of a variant."""
         total = problem.frames * problem.steps_per_frame
-        wall = summary.work.seconds + summary.writing_seconds
-        rate = f"{summary.steps / wall:6.0f} steps/s" if wall else ""
+        wall = summary.wall_seconds
+        rate = f"{summary.steps / wall:6.0f} steps/s" if summary.steps else ""
         self._show(name, frame.step or 0, total, f"{rate}  worst V/V0 {summary.worst_volume_ratio:.4f}")
 
     def drawn(self, done: int, total: int) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import permutations
+from math import factorial, prod
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
 # split of a cell into simplices along the diagonal from its low to its high corner; `alternating` mirrors every other
 # cell, which takes away the bias of one diagonal direction
 SPLITS = ("kuhn", "alternating")
+_BYTES = 270  # a simplex in a body that is built, measured with 100 000 and 800 000 tetrahedra
 
 
 def box(size: Sequence[float], cells: Sequence[int], split: str = "kuhn") -> Mesh:
@@ -28,6 +30,7 @@ def _grid(size: Sequence[float], cells: Sequence[int], split: str, *, dimension:
         raise MeshError(f"a {name} takes {dimension} sizes and {dimension} cell counts, not {size} and {cells}")
     if split not in SPLITS:
         raise MeshError(f"split {split!r} is not one of {', '.join(SPLITS)}")
+    _check_memory(cells, dimension)
     counts = np.array(cells) + 1
     index = np.stack(np.meshgrid(*[np.arange(c) for c in counts], indexing="ij"), axis=-1).reshape(-1, dimension)
     points = index * (np.array(size, dtype=np.float64) / np.array(cells))
@@ -35,6 +38,27 @@ def _grid(size: Sequence[float], cells: Sequence[int], split: str, *, dimension:
     mirrored = (low % 2).astype(bool) if split == "alternating" else np.zeros(low.shape, dtype=bool)
     simplices = [_number(corners, low, mirrored, counts) for corners in _kuhn(dimension)]
     return Mesh(points, _oriented(points, np.stack(simplices, axis=1).reshape(-1, dimension + 1)), name=name)
+
+
+def _check_memory(cells: Sequence[int], dimension: int) -> None:
+    """Raise MeshError for a mesh that is larger than the memory that is free: the system would end the process."""
+    simplices = prod(cells) * factorial(dimension)
+    needed, free = simplices * _BYTES, _free_memory()
+    if needed > free:
+        raise MeshError(
+            f"{simplices} cells take {needed / 1e9:.3g} GB to build and more to solve; {free / 1e9:.3g} GB of memory "
+            "are free; take fewer cells"
+        )
+
+
+def _free_memory() -> float:
+    """Return the bytes of memory that are free; infinite where the system does not say."""
+    try:
+        with open("/proc/meminfo") as opened:
+            found = [line.split()[1] for line in opened if line.startswith("MemAvailable:")]
+        return int(found[0]) * 1024
+    except (OSError, IndexError, ValueError):
+        return float("inf")
 
 
 def _kuhn(dimension: int) -> list[Ints]:

@@ -13,6 +13,7 @@ from pipeline.errors import MeshError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+_LARGEST = 1e30  # [m]: squares and cubes stay in what doubles hold
 CELL_NAMES = {2: "triangle", 3: "tetrahedron"}
 
 
@@ -24,7 +25,8 @@ def edge_matrices(points: Floats, cells: Ints) -> Floats:
 def signed_volumes(points: Floats, cells: Ints) -> Floats:
     """Return det D / d! (e,): volumes [m3], or areas [m2] for triangles; negative where inverted."""
     d = points.shape[1]
-    return np.linalg.det(edge_matrices(points, cells)) / factorial(d)
+    with np.errstate(all="ignore"):  # of numbers near the ends of what doubles hold: judged by who asks
+        return np.linalg.det(edge_matrices(points, cells)) / factorial(d)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +52,9 @@ class Mesh:
             raise MeshError(f"{self.name}: no {CELL_NAMES[d]}")
         if self.cells.min() < 0 or self.cells.max() >= n:
             raise MeshError(f"{self.name}: a cell names node {self.cells.max()} of {n} (counted from 0)")
-        if not np.isfinite(self.points).all():
-            raise MeshError(f"{self.name}: a point is not finite")
-        bad = np.flatnonzero(self.rest_volumes <= 0)
+        if not (np.abs(self.points) <= _LARGEST).all():  # written so that NaN fails too
+            raise MeshError(f"{self.name}: a point is not finite, or farther than {_LARGEST:g} from the origin")
+        bad = np.flatnonzero(~((self.rest_volumes > 0) & np.isfinite(self.rest_volumes)))
         if bad.size:
             raise MeshError(
                 f"{self.name}: {bad.size} inverted or flat {CELL_NAMES[d]} cells, first {bad[0]} with volume "

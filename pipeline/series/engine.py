@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pipeline.errors import SeriesError
 from pipeline.measures import AXES, VARIABLES, attributes, spatial
 from pipeline.mesh.simplex import Floats
-from pipeline.series.grids import Grid
+from pipeline.series.frame_files import Grid
 from pipeline.series.recorded import Series, read_series
 
 if TYPE_CHECKING:

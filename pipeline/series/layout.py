@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from pipeline.errors import MeshError, SeriesError
 from pipeline.mesh.cleanup import oriented
 from pipeline.mesh.simplex import CELL_NAMES, Floats, Ints, Mesh
-from pipeline.series.grids import SUFFIXES, Grid, read_grid
+from pipeline.series.frame_files import SUFFIXES, Grid, read_grid
 
 _KINDS = {3: 10, 2: 5}  # VTK's numbers of tetrahedron and triangle
 _DISPLACEMENTS = {"displacement", "displacements", "disp", "u", "deformation"}  # compared in lower case
 # vectors that say nothing about where a node is
 _OTHERS = ("velocity", "veloc", "acceler", "force", "normal", "reaction", "load", "momentum", "traction", "rest_")
+_BEYOND = 1e75  # [m]: not finite for us, as volumes of what is larger would overflow
 _PLANAR = 1e-6  # of the size: single precision leaves a few 1e-7 of it
 
 
@@ -66,7 +67,7 @@ class Layout:
             )
         points = deformed(grid, self.displacement, where)
         points = points if self.nodes is None else points[self.nodes]
-        bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+        bad = np.flatnonzero(~(np.abs(points) < _BEYOND).all(axis=1))  # written so that NaN counts too
         if bad.size:
             raise SeriesError(f"{where}: {bad.size} points are not finite, first {self.node(bad[0])}")
         return planar(points, where) if self.mesh.dimension == 2 else np.ascontiguousarray(points)

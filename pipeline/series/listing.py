@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.errors import SeriesError
-from pipeline.series.grids import SUFFIXES, fault, file_times
+from pipeline.foreign.claims import leaving, refusal
+from pipeline.series.frame_files import SUFFIXES, fault, file_times
+from pipeline.series.own import is_own, unlisted
 
 _TEMPORAL = (".vtkhdf", ".xdmf")
 _INDICES = (".pvd", ".series")
@@ -31,12 +33,16 @@ class Listing(NamedTuple):
     folder: Path
     members: tuple[Member, ...]
     notes: tuple[str, ...]
+    ours: bool = False
 
 
 def listing(path: Path, *, strict: bool) -> Listing:
     """Return what a path names; raises SeriesError where that is nothing, and with `strict` for any missing frame."""
     index = _resolved(path)
     members, notes = _members(index)
+    ours = index.name == "series.pvd" and is_own(index.parent, tuple(member.file for member in members))
+    if ours:
+        members += [Member(*more) for more in unlisted(index.parent, len(members))]
     members, faults = _whole(members)
     if faults and strict:
         raise SeriesError(f"{index}: {len(faults)} frames cannot be read, first {faults[0]}")
@@ -53,15 +59,15 @@ def listing(path: Path, *, strict: bool) -> Listing:
     if bad:
         raise SeriesError(f"{index}: the time {bad[0]} is not a number")
     name, folder = _name(index)
-    return Listing(name, folder, tuple(last.values()), tuple(notes))
+    return Listing(name, folder, tuple(last.values()), tuple(notes), ours)
 
 
 def _name(index: Path) -> tuple[str, Path]:
-    """Return what to call a series, and its folder: `series.pvd`, patterns and folders take the folder's name."""
+    """Return what to call a series, and its folder: our own indices, patterns and folders take the folder's name."""
     if index.is_dir():
         return index.resolve().name, index
     folder = index.parent
-    if index.suffix == ".pvd":
+    if index.suffix == ".pvd" or index.name == "series.vtkhdf":
         return folder.resolve().name, folder
     return (folder.resolve().name if has_magic(index.name) else index.name.split(".")[0]), folder
 
@@ -70,8 +76,9 @@ def _resolved(path: Path) -> Path:
     """Return the index in a folder where there is one, else the path itself."""
     if not path.is_dir():
         return path
-    if (path / "series.pvd").exists():
-        return path / "series.pvd"
+    for name in ("series.pvd", "series.vtkhdf"):
+        if (path / name).exists():
+            return path / name
     found = sorted(file for file in path.iterdir() if file.suffix in (*_INDICES, *_TEMPORAL))
     if len(found) > 1:
         raise SeriesError(f"{path}: holds several series, name one: {', '.join(file.name for file in found)}")
@@ -109,16 +116,25 @@ def _indexed(index: Path, parse: Callable[[Path], list[Member]]) -> tuple[list[M
 
 
 def _pvd(index: Path) -> list[Member]:
+    if why := refusal(index):
+        raise ValueError(why)
     entries = ET.parse(index).getroot().findall("./Collection/DataSet")
     parts = {entry.get("part", "0") for entry in entries}
     if len(parts) > 1:
         raise SeriesError(f"{index}: lists {len(parts)} parts a frame; write them as one grid (pyvista: merge)")
-    return [Member(float(entry.attrib["timestep"]), index.parent / entry.attrib["file"]) for entry in entries]
+    return [Member(float(entry.attrib["timestep"]), _beside(index, entry.attrib["file"])) for entry in entries]
 
 
 def _json(index: Path) -> list[Member]:
     entries = json.loads(index.read_text(encoding="utf-8"))["files"]
-    return [Member(float(entry["time"]), index.parent / entry["name"]) for entry in entries]
+    return [Member(float(entry["time"]), _beside(index, entry["name"])) for entry in entries]
+
+
+def _beside(index: Path, name: str) -> Path:
+    """Return the file that an index names; raises SeriesError where it lies outside the index's folder."""
+    if why := leaving(name):
+        raise SeriesError(f"{index}: {why}")
+    return index.parent / name
 
 
 def _numbered(where: Path, found: Iterable[Path]) -> tuple[list[Member], list[str]]:

@@ -1,7 +1,7 @@
 """A recorded series of frames, replayed as Frames: what views and statistics read."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.frame import Frame
 from pipeline.measures import AXES, QUANTILES, VARIABLES
 from pipeline.mesh.simplex import Mesh
-from pipeline.series.grids import Grid, read_grid
+from pipeline.series.frame_files import Grid, read_grid
 from pipeline.series.layout import Layout, Options, understood
 from pipeline.series.listing import listing
 
@@ -29,6 +29,7 @@ class Series:
     steps: tuple[int, ...] = ()
     options: Options = _AS_FOUND
     listing_notes: tuple[str, ...] = ()
+    ours: bool = False  # recorded by this program: read without the care that files of others need
 
     def __len__(self) -> int:
         return len(self.files)
@@ -36,9 +37,18 @@ class Series:
     def __iter__(self) -> Iterator[Frame]:
         return (self.frame(i) for i in range(len(self)))
 
+    def chosen(self, kept: Sequence[int]) -> "Series":
+        """Return the series of some of its frames, by their indices in increasing order."""
+        return replace(
+            self,
+            files=tuple(self.files[i] for i in kept),
+            times=tuple(self.times[i] for i in kept),
+            steps=tuple(self.steps[i] for i in kept) if self.steps else (),
+        )
+
     def grid(self, index: int) -> Grid:
         """Return what the files say of one frame, read now; raises SeriesError where it cannot be read."""
-        return read_grid(self.files[index], self.steps[index] if self.steps else 0)
+        return read_grid(self.files[index], self.steps[index] if self.steps else 0, ours=self.ours)
 
     def frame(self, index: int, grid: Grid | None = None) -> Frame:
         """Return one frame, read from its file now; raises SeriesError where the file is not one of this series."""
@@ -88,6 +98,7 @@ def read_series(
     """
     found = listing(Path(path), strict=strict)
     times, files, steps = zip(*found.members, strict=True)
-    series = Series(name or found.name, found.folder, files, times, steps, Options(displacement, rest), found.notes)
+    options = Options(displacement, rest)
+    series = Series(name or found.name, found.folder, files, times, steps, options, found.notes, found.ours)
     _ = series.layout  # what cannot be understood is refused here, not at the first frame
     return series

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import SeriesError
-from pipeline.mesh.simplex import Floats, Ints
 
+# as in mesh/simplex.py, which costs scipy: a child process that only reads shall start fast
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 SUFFIXES = (".vtu", ".pvtu", ".vtk", ".vtp")  # of files that hold one instant
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -37,6 +39,11 @@ class Grid:
         """Return the cells of one VTK type (e, corners)."""
         starts = self.offsets[:-1][self.types == kind]
         return self.connectivity[starts[:, None] + np.arange(corners)]
+
+
+def plain_grid(file: Path, step: int) -> tuple[Any, ...]:
+    """Return the fields of read_grid's Grid: what a child process can send."""
+    return tuple(vars(read_grid(file, step)).values())
 
 
 def read_grid(file: Path, step: int = 0) -> Grid:
@@ -68,31 +75,6 @@ def file_times(file: Path) -> list[float] | None:
     _refuse(file, errors, reader.GetErrorCode())
     information, key = reader.GetOutputInformation(0), Pipeline.TIME_STEPS()
     return [float(time) for time in information.Get(key)] if information.Has(key) else None
-
-
-def fault(file: Path) -> str | None:
-    """Return what is wrong with a file that is not there, empty or cut off; None where nothing shows."""
-    if not file.is_file():
-        return "is missing"
-    size = file.stat().st_size
-    if not size:
-        return "is empty"
-    if file.suffix in (".vtu", ".pvtu", ".vtp"):
-        with file.open("rb") as opened:
-            opened.seek(max(0, size - 200))
-            return None if b"</VTKFile>" in opened.read() else "is cut off: it does not end with </VTKFile>"
-    if file.suffix == ".vtk":  # nothing at its end tells
-        return _legacy_fault(file, file.stat().st_mtime_ns)
-    return None
-
-
-@lru_cache(maxsize=100_000)
-def _legacy_fault(file: Path, _modified: int) -> str | None:
-    try:
-        read_grid(file)
-    except SeriesError as error:
-        return str(error).removeprefix(f"{file}: ")
-    return None
 
 
 def _reader(file: Path) -> tuple[Any, list[str]]:
@@ -166,7 +148,7 @@ def _from_vtk(data: Any, file: Path) -> Grid:
         raise SeriesError(f"{file}: a cell names point {connectivity.max()} of {len(points)} (counted from 0)")
     fields = [{name: np.asarray(data[name]) for name in data.keys()} for data in  # noqa: SIM118  (no mapping)
               (grid.point_data, grid.cell_data, grid.field_data)]  # fmt: skip
-    return Grid(points, grid.celltypes, offsets, connectivity, *fields)
+    return Grid(points, np.asarray(grid.celltypes), offsets, connectivity, *fields)
 
 
 def _xdmf_grid(file: Path, step: int) -> Grid:
