@@ -425,6 +425,15 @@ def test_a_case_without_a_reference_does_not_stop_the_others(tmp_path, capsys, m
     assert said.out.startswith("good: use this") and said.err == "SolveError: no reference\n"
 
 
+def test_an_interrupted_study_says_what_stands(tmp_path, capsys, monkeypatch):
+    def interrupted(*given, **keywords):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pipeline.studies.tradeoff.tradeoff", interrupted)
+    assert main(["study", "tradeoff", str(write_case(tmp_path)), "--quiet", "--out", str(tmp_path / "o")]) == 130
+    assert capsys.readouterr().err == "interrupted; the points done so far stand, the same command goes on\n"
+
+
 def test_a_missing_case_and_an_unknown_study_are_told(tmp_path, capsys):
     assert main(["study", "tradeoff", str(tmp_path / "none.toml")]) == 2
     assert "no such file" in capsys.readouterr().err

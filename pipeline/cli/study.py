@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -28,7 +29,15 @@ def add_verbs(verbs: argparse._SubParsersAction, common: argparse.ArgumentParser
     for name, row in STUDIES.items():
         one = names.add_parser(name, parents=[common, _sweeping(name)], help=row.text, description=row.text)
         row.add_arguments(one)
-        one.set_defaults(run=row.run)
+        one.set_defaults(run=partial(_interruptible, row.run))
+
+
+def _interruptible(run: Callable[[argparse.Namespace], int], options: argparse.Namespace) -> int:
+    """Return the exit code of a study; an interruption says what stands."""
+    try:
+        return run(options)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("interrupted; the points done so far stand, the same command goes on") from None
 
 
 def _sweeping(name: str) -> argparse.ArgumentParser:
