@@ -113,7 +113,7 @@ def worst_auto(verdicts: Sequence[AutoVerdict]) -> AutoVerdict | None:
 def sentence(table: Table) -> str:
     """Return the choice as one sentence: what to use, what a step costs, what a tenth of the error would cost."""
     plan, rows = table.plan, choosable(table)
-    tolerance = plan.tolerance
+    tolerance, sure = plan.tolerance, table.reference_error().time or 0.0
     chosen, tighter = cheapest(rows, tolerance), cheapest(rows, tolerance / 10)
     if chosen is None:
         text = f"no setting that was run reaches {_percent(tolerance)}" + _nearest(rows)
@@ -123,10 +123,14 @@ def sentence(table: Table) -> str:
             f"for {_percent(tolerance)} use {named(chosen.setting)}: {1e3 * steps:.3g} ms a step, "
             f"{1e3 * simulated:.3g} ms a simulated second; "
         )
-        if tighter is None:
+        if sure > tolerance / 10:
+            text += f"{_percent(tolerance / 10)} cannot be told"
+        elif tighter is None:
             text += f"{_percent(tolerance / 10)} was not reached" + _nearest(rows)
         else:
             text += f"{_percent(tolerance / 10)} costs {_more(tighter, chosen)} ({named(tighter.setting)})"
+    if sure > tolerance / 10:
+        text += f"; the reference itself is good to {_percent(sure)}: smaller steps (--dt) tell more"
     mesh = table.mesh_error(1)
     if isfinite(mesh):
         text += f"; the mesh itself is {_percent(mesh)} from cells x {plan.refinements[-1]}"
