@@ -236,6 +236,25 @@ def test_auto_is_set_against_the_cheapest_that_meets_its_tolerance():
     assert not auto_verdicts(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))[0].kept
 
 
+def test_the_sentence_tells_no_more_than_the_reference_is_good_for():
+    rows = [row(1, 0.005), row(3, 0.0005, dt=0.05)]
+    plan = SimpleNamespace(
+        tolerance=0.01, refinements=(1,), case=SimpleNamespace(name="scene"), reference=lambda r: None
+    )
+
+    def said(sure, rows=rows, mesh=float("nan")):
+        reference = SimpleNamespace(time=sure)
+        table = SimpleNamespace(plan=plan, rows=rows, mesh_error=lambda r: mesh, reference_error=lambda: reference)
+        return sentence(table)
+
+    assert said(1e-4).startswith("scene: for 1 % use bdf2, the linear law, consistent mass, dt = 0.1 s: 100 ms a step")
+    assert "0.1 % costs 3 times as much" in said(1e-4) and "reference" not in said(1e-4)
+    assert "0.1 % was not reached (0.5 % by" in said(1e-4, rows[:1])
+    assert "0.1 % cannot be told; the reference itself is good to 2 %" in said(0.02)
+    assert said(1e-4, [row(1, 0.05)]).startswith("scene: no setting that was run reaches 1 % (5 % by bdf2")
+    assert said(1e-4, mesh=0.3).endswith("the mesh itself is 30 % from cells x 1")
+
+
 @pytest.mark.parametrize("stepper", ["backward_euler", "bdf2"])
 def test_steps_a_period_are_those_of_the_formula(tmp_path, stepper):
     plan = plan_of(tmp_path)

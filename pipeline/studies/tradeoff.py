@@ -29,6 +29,7 @@ from pipeline.studies.verdict import (
     choosable,
     front,
     named,
+    percent,
     sentence,
     shares,
     worst_auto,
@@ -202,7 +203,7 @@ def _bars(summary: dict[str, Any], worst: AutoVerdict | None) -> list[str]:
 
 
 def _told(value: float | None) -> str:
-    return "not available" if value is None or not isfinite(value) else f"{100 * value:.2g} %"
+    return "not available" if value is None or not isfinite(value) else percent(value)
 
 
 def _applied(table: Table, said: str) -> str:

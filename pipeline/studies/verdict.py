@@ -113,30 +113,34 @@ def worst_auto(verdicts: Sequence[AutoVerdict]) -> AutoVerdict | None:
 def sentence(table: Table) -> str:
     """Return the choice as one sentence: what to use, what a step costs, what a tenth of the error would cost."""
     plan, rows = table.plan, choosable(table)
-    tolerance = plan.tolerance
+    tolerance, sure = plan.tolerance, table.reference_error().time or 0.0
     chosen, tighter = cheapest(rows, tolerance), cheapest(rows, tolerance / 10)
     if chosen is None:
-        text = f"no setting that was run reaches {_percent(tolerance)}" + _nearest(rows)
+        text = f"no setting that was run reaches {percent(tolerance)}" + _nearest(rows)
     else:
         steps, simulated = chosen.costs["seconds_per_step"], 1 / chosen.costs["real_time_factor"]
         text = (
-            f"for {_percent(tolerance)} use {named(chosen.setting)}: {1e3 * steps:.3g} ms a step, "
+            f"for {percent(tolerance)} use {named(chosen.setting)}: {1e3 * steps:.3g} ms a step, "
             f"{1e3 * simulated:.3g} ms a simulated second; "
         )
-        if tighter is None:
-            text += f"{_percent(tolerance / 10)} was not reached" + _nearest(rows)
+        if sure > tolerance / 10:
+            text += f"{percent(tolerance / 10)} cannot be told"
+        elif tighter is None:
+            text += f"{percent(tolerance / 10)} was not reached" + _nearest(rows)
         else:
-            text += f"{_percent(tolerance / 10)} costs {_more(tighter, chosen)} ({named(tighter.setting)})"
+            text += f"{percent(tolerance / 10)} costs {_more(tighter, chosen)} ({named(tighter.setting)})"
+    if sure > tolerance / 10:
+        text += f"; the reference itself is good to {percent(sure)}: smaller steps (--dt) tell more"
     mesh = table.mesh_error(1)
     if isfinite(mesh):
-        text += f"; the mesh itself is {_percent(mesh)} from cells x {plan.refinements[-1]}"
+        text += f"; the mesh itself is {percent(mesh)} from cells x {plan.refinements[-1]}"
     return f"{plan.case.name}: {text}"
 
 
 def _nearest(rows: Sequence[Row]) -> str:
     """Return the setting of the smallest error and that error, if there is any."""
     best = min((row for row in rows if isfinite(row.error())), key=lambda row: row.error(), default=None)
-    return "" if best is None else f" ({_percent(best.error())} by {named(best.setting)})"
+    return "" if best is None else f" ({percent(best.error())} by {named(best.setting)})"
 
 
 def _more(tighter: Row, chosen: Row) -> str:
@@ -144,8 +148,9 @@ def _more(tighter: Row, chosen: Row) -> str:
     return "no more" if ratio <= 1 else f"{ratio:.2g} times as much"
 
 
-def _percent(value: float) -> str:
-    return f"{100 * value:.2g} %"
+def percent(value: float) -> str:
+    """Return a part as per cent with two digits."""
+    return f"{100 * value:.2g} %" if value < 1 else f"{100 * value:.0f} %"
 
 
 def named(setting: Setting) -> str:
