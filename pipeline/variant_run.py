@@ -18,6 +18,7 @@ from pipeline.errors import OutputError, SolveError
 from pipeline.failure import FILE as FAILURE
 from pipeline.failure import examined
 from pipeline.frame import Frame, Values
+from pipeline.methods import linear_solvers
 from pipeline.record_keeping import (
     CHECKPOINTS,
     Interrupted,
@@ -233,6 +234,7 @@ def _opening(case: Case, problem: Problem) -> dict[str, Any]:
         "versions": {"pipeline": VERSION, "python": platform.python_version()}
         | {package: version(package) for package in _PACKAGES},
         "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
+        "linear_solvers": linear_solvers(problem.body, problem.dt, problem.method),
         "cells": len(problem.body.mesh.cells),
         "nodes": len(problem.body.mesh.points),
         "mesh_digest": mesh_digest(problem.body.mesh),
