@@ -271,3 +271,30 @@ def test_meshes_of_meshio_come_over_whole(tmp_path):
     meshio.write(tmp_path / "a.msh", meshio.Mesh(grid_at(0).points, [("tetra", CELLS)]), file_format="gmsh")
     mesh = read_mesh(tmp_path / "a.msh")
     assert np.array_equal(mesh.cells, CELLS)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "words"),
+    [
+        ("offsets", "4 8 12", "4 9 12", r"cell 1 has 5 corners, not 4"),
+        ("offsets", "4 8 12", "4 8 999", r"the places of its 48 cells do not fit their 192 corners|cannot be read"),
+        ("types", "10 10 10", "10 99 10", r"unknown kind|cannot be read"),
+        ("connectivity", "0 ", "999999 ", r"names point 1?999999 of 27|cannot be read|the reader died"),
+        ("connectivity", "0 ", "-5 ", r"names point|cannot be read|the reader died"),
+    ],
+)
+def test_cells_that_are_none(tmp_path, name, old, new, words):
+    import vtk
+
+    writer = vtk.vtkXMLUnstructuredGridWriter()
+    writer.SetFileName(str(tmp_path / "f0.vtu"))
+    writer.SetInputData(grid_at(0))
+    writer.SetDataModeToAscii()
+    writer.Write()
+    text = (tmp_path / "f0.vtu").read_text()
+    at = text.index(f'Name="{name}"')
+    at = text.index(old, text.index(">", at))
+    (tmp_path / "f0.vtu").write_text(text[:at] + new + text[at + len(old) :])
+    with pytest.raises(SeriesError, match=words) as caught:
+        read_series(tmp_path)
+    assert "\n" not in str(caught.value)
