@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -147,6 +148,19 @@ def test_a_forked_process_has_a_child_of_its_own(tmp_path):
     )
     run = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
+
+
+def test_a_child_follows_to_another_folder_and_messages_say_the_name_that_was_given(tmp_path, monkeypatch):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        grid_at(0).save(f"{name}.vtu")
+        assert len(read_series(f"{name}.vtu")) == 1
+        meshio.write(f"{name}.vtk", meshio.Mesh(grid_at(0).points, [("tetra", CELLS)]))
+        assert len(read_mesh(Path(f"{name}.vtk")).cells) == len(CELLS)
+    Path("b.vtk").write_text("junk")
+    with pytest.raises(MeshError, match=r"^b\.vtk: meshio cannot read it \((?!.*two/b\.vtk)"):
+        read_mesh(Path("b.vtk"))
 
 
 # What is seen before anything is read
