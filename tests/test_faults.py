@@ -269,3 +269,17 @@ def test_reproduce_goes_on_where_it_stopped(tmp_path, monkeypatch, capfd):
     for way in ([], ["--resume"], ["--force"]):
         assert main(["reproduce", "--cases", str(ROOT / "cases"), "--out", str(tmp_path), *way]) == 4
     assert [one[1:] for one in seen] == [(False, False), (True, False), (False, True)]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.99])
+def test_a_half_written_dataset_of_a_finished_variant_is_one_line(tmp_path, capfd, share):
+    path, out = written(tmp_path, frames=6), tmp_path / "out"
+    folder = solve(path, out).variants[0].folder
+    data = (folder / "statistics.nc").read_bytes()
+    (folder / "statistics.nc").write_bytes(data[: int(share * len(data))])
+    (out / "beam" / "comparison.nc").unlink()
+    assert main(["run", str(path), "--out", str(out), "--no-movie", "--quiet"]) == 2
+    err = capfd.readouterr().err
+    assert err.count("\n") == 1 and "statistics.nc: cannot be read" in err
+    assert main(["run", str(path), "--out", str(out), "--no-movie", "--quiet", "--force"]) == 0
+    assert (folder / "statistics.nc").read_bytes() == data
