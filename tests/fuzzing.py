@@ -288,10 +288,40 @@ def mesh_file(number: int, folder: Path) -> Path:
     return path
 
 
+def _vtkhdf(path: Path) -> None:
+    """What VTK's own writer made of one grid; it takes its time, so it is made once."""
+    from vtkmodules.vtkIOHDF import vtkHDFWriter
+
+    if not _MADE:
+        writer = vtkHDFWriter()
+        writer.SetInputData(_grid(0.0))
+        writer.SetFileName(str(path))
+        writer.Write()
+        _MADE.append(path.read_bytes())
+    path.write_bytes(_MADE[0])
+
+
+def _xdmf(path: Path) -> None:
+    with meshio.xdmf.TimeSeriesWriter(path, data_format="XML") as writer:
+        writer.write_points_cells(POINTS, [("tetra", CELLS)])
+        for t in (0.0, 0.25, 0.5):
+            writer.write_data(t, point_data={"u": POINTS * t})
+
+
+_MADE: list[bytes] = []
+_TEMPORAL: dict[str, Callable[[Path], None]] = {"vtkhdf": _vtkhdf, "xdmf": _xdmf}
+
+
 def series_index(number: int, folder: Path) -> Path:
-    """An index of three files, one of which, or the index itself, was mutated."""
+    """An index of three files, one of which, or the index itself, was mutated; or one file of three steps."""
     random = Random(number)
-    suffix, write = WRITERS[list(WRITERS)[number % len(WRITERS)]]
+    kind = [*WRITERS, *_TEMPORAL][number % (len(WRITERS) + len(_TEMPORAL))]
+    if kind in _TEMPORAL:
+        path = folder / f"their.{kind}"
+        _TEMPORAL[kind](path)
+        path.write_bytes(mutated(path.read_bytes(), random))
+        return path
+    suffix, write = WRITERS[kind]
     names = [f"f{i}.{suffix}" for i in range(3)]
     for i, name in enumerate(names):
         write(folder / name, i / 4)

@@ -79,12 +79,14 @@ def assert_readable(folder: Path) -> int:
 
 
 @pytest.mark.slow
-def test_kill_9_at_random_moments_loses_one_frame_at_most_and_the_rest_goes_on(tmp_path):
+@pytest.mark.parametrize("number", range(max(1, KILLS // 20)))
+def test_kill_9_at_random_moments_loses_one_frame_at_most_and_the_rest_goes_on(tmp_path, number):
     """Each child goes on where the one before was killed; the last one is let finish."""
-    path, out = written(tmp_path, frames=30 * KILLS), tmp_path / "parts"
+    kills = min(KILLS, 20)
+    path, out = written(tmp_path, frames=30 * kills), tmp_path / "parts"
     folder = out / "beam" / "only"
-    before, moments = 0, random.Random(0)
-    for _ in range(KILLS):
+    before, moments = 0, random.Random(number)
+    for _ in range(kills):
         child = warm_child(command(path, out, "--resume")[3:])
         deadline = time.monotonic() + 60
         while not (folder / f"frames/frame_{before + 1:06d}.vtu").exists() and child.is_alive():
@@ -100,7 +102,7 @@ def test_kill_9_at_random_moments_loses_one_frame_at_most_and_the_rest_goes_on(t
             assert run["resumed_after_steps"][-1] >= before - 1
         before = assert_readable(folder)
     resumed = solve(path, out, resume=True).variants[0]
-    assert resumed.run["resumed_after_steps"][-1] >= before - 1 and len(resumed.run["resumed_after_steps"]) == KILLS
+    assert resumed.run["resumed_after_steps"][-1] >= before - 1 and len(resumed.run["resumed_after_steps"]) == kills
     assert_same_results(solve(path, tmp_path / "whole").variants[0].folder, folder)
 
 
@@ -267,3 +269,17 @@ def test_reproduce_goes_on_where_it_stopped(tmp_path, monkeypatch, capfd):
     for way in ([], ["--resume"], ["--force"]):
         assert main(["reproduce", "--cases", str(ROOT / "cases"), "--out", str(tmp_path), *way]) == 4
     assert [one[1:] for one in seen] == [(False, False), (True, False), (False, True)]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.99])
+def test_a_half_written_dataset_of_a_finished_variant_is_one_line(tmp_path, capfd, share):
+    path, out = written(tmp_path, frames=6), tmp_path / "out"
+    folder = solve(path, out).variants[0].folder
+    data = (folder / "statistics.nc").read_bytes()
+    (folder / "statistics.nc").write_bytes(data[: int(share * len(data))])
+    (out / "beam" / "comparison.nc").unlink()
+    assert main(["run", str(path), "--out", str(out), "--no-movie", "--quiet"]) == 2
+    err = capfd.readouterr().err
+    assert err.count("\n") == 1 and "statistics.nc: cannot be read" in err
+    assert main(["run", str(path), "--out", str(out), "--no-movie", "--quiet", "--force"]) == 0
+    assert (folder / "statistics.nc").read_bytes() == data

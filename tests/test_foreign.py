@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -149,6 +150,19 @@ def test_a_forked_process_has_a_child_of_its_own(tmp_path):
     assert run.returncode == 0, run.stderr
 
 
+def test_a_child_follows_to_another_folder_and_messages_say_the_name_that_was_given(tmp_path, monkeypatch):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        grid_at(0).save(f"{name}.vtu")
+        assert len(read_series(f"{name}.vtu")) == 1
+        meshio.write(f"{name}.vtk", meshio.Mesh(grid_at(0).points, [("tetra", CELLS)]))
+        assert len(read_mesh(Path(f"{name}.vtk")).cells) == len(CELLS)
+    Path("b.vtk").write_text("junk")
+    with pytest.raises(MeshError, match=r"^b\.vtk: meshio cannot read it \((?!.*two/b\.vtk)"):
+        read_mesh(Path("b.vtk"))
+
+
 # What is seen before anything is read
 
 
@@ -271,3 +285,30 @@ def test_meshes_of_meshio_come_over_whole(tmp_path):
     meshio.write(tmp_path / "a.msh", meshio.Mesh(grid_at(0).points, [("tetra", CELLS)]), file_format="gmsh")
     mesh = read_mesh(tmp_path / "a.msh")
     assert np.array_equal(mesh.cells, CELLS)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "words"),
+    [
+        ("offsets", "4 8 12", "4 9 12", r"cell 1 has 5 corners, not 4"),
+        ("offsets", "4 8 12", "4 8 999", r"the places of its 48 cells do not fit their 192 corners|cannot be read"),
+        ("types", "10 10 10", "10 99 10", r"unknown kind|cannot be read"),
+        ("connectivity", "0 ", "999999 ", r"names point 1?999999 of 27|cannot be read|the reader died"),
+        ("connectivity", "0 ", "-5 ", r"names point|cannot be read|the reader died"),
+    ],
+)
+def test_cells_that_are_none(tmp_path, name, old, new, words):
+    import vtk
+
+    writer = vtk.vtkXMLUnstructuredGridWriter()
+    writer.SetFileName(str(tmp_path / "f0.vtu"))
+    writer.SetInputData(grid_at(0))
+    writer.SetDataModeToAscii()
+    writer.Write()
+    text = (tmp_path / "f0.vtu").read_text()
+    at = text.index(f'Name="{name}"')
+    at = text.index(old, text.index(">", at))
+    (tmp_path / "f0.vtu").write_text(text[:at] + new + text[at + len(old) :])
+    with pytest.raises(SeriesError, match=words) as caught:
+        read_series(tmp_path)
+    assert "\n" not in str(caught.value)

@@ -19,6 +19,7 @@ from pipeline.errors import SeriesError
 # as in mesh/simplex.py, which costs scipy: a child process that only reads shall start fast
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+_CORNERS = {10: 4, 5: 3}  # of VTK's tetrahedron and triangle, the cells that are measured
 SUFFIXES = (".vtu", ".pvtu", ".vtk", ".vtp")  # of files that hold one instant
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -130,6 +131,8 @@ def _from_vtk(data: Any, file: Path) -> Grid:
     import pyvista
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
+    if data is None:
+        raise SeriesError(f"{file}: cannot be read (VTK finds nothing in it)")
     grid = pyvista.wrap(data)
     if isinstance(grid, pyvista.PartitionedDataSet) and len(grid) == 1:
         grid = grid[0]
@@ -144,11 +147,31 @@ def _from_vtk(data: Any, file: Path) -> Grid:
         raise SeriesError(f"{file}: has no cells")
     connectivity = np.asarray(grid.cell_connectivity, dtype=np.int64)
     offsets = vtk_to_numpy(grid.GetCells().GetOffsetsArray()).astype(np.int64)
+    types = np.asarray(grid.celltypes)
+    if (why := _wrong_cells(types, offsets, len(connectivity))) is not None:
+        raise SeriesError(f"{file}: {why}")
     if connectivity.min() < 0 or connectivity.max() >= len(points):
         raise SeriesError(f"{file}: a cell names point {connectivity.max()} of {len(points)} (counted from 0)")
     fields = [{name: np.asarray(data[name]) for name in data.keys()} for data in  # noqa: SIM118  (no mapping)
               (grid.point_data, grid.cell_data, grid.field_data)]  # fmt: skip
-    return Grid(points, np.asarray(grid.celltypes), offsets, connectivity, *fields)
+    return Grid(points, types, offsets, connectivity, *fields)
+
+
+def _wrong_cells(types: NDArray[np.uint8], offsets: Ints, length: int) -> str | None:
+    """Return what is wrong with kinds of cells, or with their places in a connectivity of that length."""
+    import pyvista
+
+    unknown = set(np.unique(types).tolist()) - {int(kind) for kind in pyvista.CellType}
+    if unknown:
+        return f"a cell is of the unknown kind {min(unknown)}"
+    sizes = np.diff(offsets)
+    if len(sizes) != len(types) or offsets[0] != 0 or offsets[-1] != length or (sizes < 0).any():
+        return f"the places of its {len(types)} cells do not fit their {length} corners"
+    for kind, corners in _CORNERS.items():
+        bad = np.flatnonzero((types == kind) & (sizes != corners))
+        if bad.size:
+            return f"cell {bad[0]} has {sizes[bad[0]]} corners, not {corners}"
+    return None
 
 
 def _xdmf_grid(file: Path, step: int) -> Grid:

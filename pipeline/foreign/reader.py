@@ -49,12 +49,14 @@ class Reader:
         What the function raises on purpose is raised here. `error` is raised where it raises anything else, where
         the child dies, and where it takes too much memory or time.
         """
-        size = file.stat().st_size if file.exists() else 0
+        whole = file.absolute()  # the child may have been started in another folder
+        size = whole.stat().st_size if whole.exists() else 0
         memory, seconds = _memory(size), _LEAST_SECONDS + size / _BYTES_PER_SECOND
         with self._lock:
-            kind, answer = self._asked((function, (file, *arguments), memory, seconds), file, error)
+            kind, answer = self._asked((function, (whole, *arguments), memory, seconds), file, error)
         if not kind:
             return answer
+        answer = answer.replace(str(whole), str(file))
         if kind == "MemoryError":
             raise error(f"{file}: reading it takes more than {memory / 1e9:.3g} GB of memory; {GIGABYTES} allows more")
         if kind == "Exception":

@@ -1,5 +1,6 @@
 """statistics.nc: the numbers of every frame, appended and synced, so that a killed run keeps all its frames."""
 
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ class NetcdfSink:
         try:
             if self._dataset is None:
                 self._dataset = self._opened(frame.mesh, measured)
+                _keep_little(self._dataset)
             self._dataset["time"][self._count] = frame.time
             for name, value in measured.items():
                 if VARIABLES[name].dims != ("step",):
@@ -61,6 +63,13 @@ class NetcdfSink:
                 dataset.close()
             except (OSError, RuntimeError) as error:
                 raise OutputError(f"{self.path}: cannot be closed ({error})") from error
+
+
+def _keep_little(dataset: Any) -> None:
+    """Let each field of cells keep two chunks in memory: by default each keeps many, which are not read again."""
+    for one in dataset.variables.values():
+        if {"time", "cell"} <= set(one.dimensions):
+            one.set_var_chunk_cache(size=2 * 8 * prod(one.chunking()))
 
 
 def _created(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
