@@ -12,7 +12,7 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS)
 
 help: ## Show this list
 	@echo "usage: make TARGET [PYTHON=python3.12] [WORKERS=4]"
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: .venv/installed ## Create .venv, install everything into it; as root on Debian or Ubuntu the OpenGL libraries too
 	@if $(BIN)/python -m pipeline.opengl; then exit 0; fi; \
@@ -26,8 +26,9 @@ setup: .venv/installed ## Create .venv, install everything into it; as root on D
 		echo "going on without pictures and movies; to have them on Debian or Ubuntu: sudo $$line"; \
 	fi
 
-run: setup ## Run the example: cases/bar.toml -> outputs/bar (solved anew each time)
+run: setup ## Run the example: cases/bar.toml -> outputs/bar with its report.html (solved anew each time)
 	$(BIN)/pipeline run cases/bar.toml --force
+	$(BIN)/pipeline report outputs/bar
 
 report: setup ## Every scene in full, from nothing -> outputs/reproduction.html and .md: what of the seeds holds
 	OMP_NUM_THREADS=1 $(BIN)/pipeline reproduce --force

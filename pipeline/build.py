@@ -98,7 +98,7 @@ def _check_method(case: Case) -> None:
         "law": LAWS,
         "rotation": ROTATIONS,
         "stepper": STEPPERS,
-        "linear_solver": LINEAR_SOLVERS,
+        "linear_solver": {"auto": None, **LINEAR_SOLVERS},
         "mass": MASSES,
         "inversion": INVERSIONS,
     }

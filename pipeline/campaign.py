@@ -7,6 +7,7 @@ from pathlib import Path
 from pipeline.build import Problem, build, settled
 from pipeline.case import Case
 from pipeline.comparison import compare
+from pipeline.disk import check_room
 from pipeline.errors import CaseError, SolveError
 from pipeline.record_keeping import Interrupted, folder_lock, interruptible, mesh_digest
 from pipeline.sinks.atomic import write_whole
@@ -67,6 +68,7 @@ def run_campaign(
             for name, one in resolved.items()
             if _must_solve(one, problems[name], folder / name, force=force, resume=resume)
         ]
+        check_room(folder, {name: problems[name] for name in todo})
         write_whole(folder / "case.toml", case.to_toml(folder))
         results = []
         for name, one in resolved.items():

@@ -11,7 +11,7 @@ from pipeline.case import Case, load_case
 from pipeline.comparison import recorded
 from pipeline.errors import OutputError
 from pipeline.series import Series, read_series
-from pipeline.variant_run import UNFINISHED
+from pipeline.variant_run import UNFINISHED, determining, difference, read_run
 from pipeline.version import VERSION
 from pipeline.views.blocks import Block, Heading, Listing, Paragraph, Table
 from pipeline.views.web.page import Result, Side, write_page
@@ -31,8 +31,9 @@ def report_of_folder(folder: Path, on_frame: OnFrame | None = None) -> Path:
     """
     case = load_case(folder / "case.toml")
     runs = {name: run for name, run in recorded(case, folder).items() if run["status"] not in UNFINISHED}
+    missing = [f"{name} is not shown: {_why(case, folder, name)}" for name in case.variant_names if name not in runs]
     if not runs:
-        raise OutputError(f"{folder}: no variant of this case is finished: nothing to report; pipeline run solves it")
+        raise OutputError(f"{folder}: nothing to report: {missing[0]}; pipeline run solves it")
     sides = [
         Side(
             name.replace("_", " "), replace(read_series(folder / name), name=name), folder / name / "statistics.nc",
@@ -40,9 +41,7 @@ def report_of_folder(folder: Path, on_frame: OnFrame | None = None) -> Path:
         )
         for name, run in runs.items()
     ]  # fmt: skip
-    missing = [name for name in case.variant_names if name not in runs]
-    notes = [f"{name} is not shown: it is not finished" for name in missing]
-    notes += [f"{name} failed: {run['message']}" for name, run in runs.items() if run["status"] == "failed"]
+    notes = missing + [f"{name} failed: {run['message']}" for name, run in runs.items() if run["status"] == "failed"]
     notes += [note for run in runs.values() for note in run["notes"]]
     movie, poster = (folder / f"comparison.{ending}" for ending in ("mp4", "png"))
     title = case.movie.title or case.name.replace("_", " ")
@@ -51,6 +50,14 @@ def report_of_folder(folder: Path, on_frame: OnFrame | None = None) -> Path:
         title, tuple(sides), closing, notes, movie if movie.is_file() else None, poster if poster.is_file() else None
     )
     return write_page(result, folder / REPORT, on_frame)
+
+
+def _why(case: Case, folder: Path, name: str) -> str:
+    """Return why a variant's folder does not count."""
+    run = read_run(folder / name)
+    if not run.get("frames") or run["status"] in UNFINISHED:
+        return "it is not finished"
+    return f"its folder has the result of another case ({difference(run['case'], determining(case.variant(name)))})"
 
 
 def is_current(folder: Path) -> bool:

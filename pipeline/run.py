@@ -62,6 +62,8 @@ def frames(
         work = Work()
     while state.step < problem.frames * problem.steps_per_frame:
         state, done = _timed_step(stepper, state)
+        if problem.method.model == "auto":
+            done = replace(done, history=((done.rung, done.solves, done.indicator),))
         work += done
         if after_step is not None:
             after_step(state, work)
@@ -101,9 +103,14 @@ def _frame(problem: Problem, state: State, work: Work) -> Frame:
 def _effort(problem: Problem, work: Work) -> dict[str, Floats]:
     """Return what the steps since the frame before took, by the names of measures.VARIABLES."""
     effort = {"newton_iterations": np.asarray(float(work.iterations))}
-    if problem.method.model == "auto":
-        effort |= {"rung": np.asarray(float(work.rung)), "indicator": np.asarray(work.indicator)}
-    return effort
+    if problem.method.model != "auto":
+        return effort
+    # as many numbers in every frame: none of the steps before the first one has happened
+    steps = np.full((problem.steps_per_frame, 3), np.nan)
+    steps[len(steps) - len(work.history) :] = np.reshape(work.history, (-1, 3))
+    names = ("step_rung", "step_solves", "step_indicator")
+    whole = {"rung": np.asarray(float(work.rung)), "indicator": np.asarray(work.indicator)}
+    return effort | whole | dict(zip(names, steps.T.copy(), strict=True))
 
 
 def dynamics(body: Body, state: State) -> dict[str, Floats]:
@@ -179,7 +186,7 @@ def _continued(summary: RunSummary, frame: Frame, measured: Values, writing: flo
         frames=summary.frames + 1,
         steps=frame.step or 0,
         time=frame.time,
-        work=summary.work + work if summary.frames else Work(),
+        work=replace(summary.work + work, history=()) if summary.frames else Work(),
         setup_seconds=setup,
         writing_seconds=summary.writing_seconds + writing,
         worst_volume_ratio=float(ratio[cell]) if worse else summary.worst_volume_ratio,

@@ -15,7 +15,10 @@ from threadpoolctl import threadpool_limits
 from pipeline.build import Problem
 from pipeline.case import Case
 from pipeline.errors import OutputError, SolveError
+from pipeline.failure import FILE as FAILURE
+from pipeline.failure import examined
 from pipeline.frame import Frame, Values
+from pipeline.methods import linear_solvers
 from pipeline.record_keeping import (
     CHECKPOINTS,
     Interrupted,
@@ -72,7 +75,7 @@ def read_run(folder: Path) -> dict[str, Any]:
 def determining(case: Case) -> dict[str, Any]:
     """Return the part of a case that its results depend on: all but the movie and the checkpoints."""
     document = {key: value for key, value in case.as_dict().items() if key != "movie"}
-    document["output"] = {k: v for k, v in document["output"].items() if k != "checkpoint_seconds"}
+    document["output"] = {k: v for k, v in document["output"].items() if not k.startswith("checkpoint_")}
     return document
 
 
@@ -116,7 +119,7 @@ class VariantRun:
             self._record(began)
         except SolveError as error:
             status = "failed"
-            run["message"] = str(error)
+            run |= self._failed(error)
         except (Interrupted, OutputError) as error:
             with suppress(OutputError):  # the disk may be full; "running" can be resumed as well
                 self._close(run | {"message": str(error)}, "interrupted")
@@ -152,6 +155,7 @@ class VariantRun:
             ]
         )
         start, begun = (began.state, began.work) if began else (None, None)
+        self._last = start or self.problem.start
         self.asked.solving = True
         try:
             # small dense factors gain nothing from BLAS threads, and stall where cores are shared
@@ -161,6 +165,16 @@ class VariantRun:
         finally:
             self.asked.solving = False
 
+    def _failed(self, error: SolveError) -> dict[str, Any]:
+        """Return what run.json says of a failure, after the state before it was written to a file of its own."""
+        if self.summary is None:  # it could not even start
+            return {"message": str(error)}
+        found = examined(self.problem, self._last)
+        message = found.message(error)
+        with suppress(OutputError):  # the frames before it count more than this one
+            found.write(self.folder, message)
+        return {"message": message, "failure": found.record()}
+
     def _on_frame(self, frame: Frame, measured: Values, summary: RunSummary) -> None:
         self._recorded = summary
         if self.notify is not None:
@@ -168,7 +182,10 @@ class VariantRun:
 
     def _after_step(self, state: State, work: Work) -> None:
         """Write a checkpoint where one is due; raises Interrupted where an end was asked for."""
-        if self._recorded is not None and (self.asked.requested or self.checkpoints.due()):
+        self._last = state
+        frames = self.case.output.checkpoint_frames
+        due = self.checkpoints.due() or (frames and state.step % (frames * self.problem.steps_per_frame) == 0)
+        if self._recorded is not None and (self.asked.requested or due):
             self._writer.drain()  # a checkpoint says that the frames before it are on the disk
             self.checkpoints.write(Checkpoint(state, work, self.summary or self._recorded))
         if self.asked.requested:
@@ -197,7 +214,7 @@ def _clear(folder: Path) -> None:
     """Remove what an earlier run left, and nothing else."""
     try:
         # the record first: without it, what a kill leaves of the rest is cleared again and never resumed
-        for name in ("run.json", "case.toml", *(one.index for one in FORMATS.values()), "statistics.nc"):
+        for name in ("run.json", "case.toml", *(one.index for one in FORMATS.values()), "statistics.nc", FAILURE):
             (folder / name).unlink(missing_ok=True)
         for name in (CHECKPOINTS, "frames"):
             shutil.rmtree(folder / name, ignore_errors=True)
@@ -217,6 +234,7 @@ def _opening(case: Case, problem: Problem) -> dict[str, Any]:
         "versions": {"pipeline": VERSION, "python": platform.python_version()}
         | {package: version(package) for package in _PACKAGES},
         "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
+        "linear_solvers": linear_solvers(problem.body, problem.dt, problem.method),
         "cells": len(problem.body.mesh.cells),
         "nodes": len(problem.body.mesh.points),
         "mesh_digest": mesh_digest(problem.body.mesh),

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import tomllib
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -40,6 +41,18 @@ def outputs(tmp_path: Path) -> Path:
     folder = tmp_path / "outputs"
     folder.mkdir()
     return folder
+
+
+@pytest.fixture
+def installed(tmp_path: Path, project_root: Path) -> dict[str, str]:
+    """An environment in which the entry points of pyproject.toml are those of an installed package."""
+    entry = tomllib.loads((project_root / "pyproject.toml").read_text())["project"]["entry-points"]["xarray.backends"]
+    info = tmp_path / "site" / "entry_of_this_tree-0.1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: entry-of-this-tree\nVersion: 0.1\n")
+    lines = [f"{name} = {target}" for name, target in entry.items()]
+    (info / "entry_points.txt").write_text("[xarray.backends]\n" + "\n".join(lines) + "\n")
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(info.parent), str(project_root)])}
 
 
 @pytest.fixture

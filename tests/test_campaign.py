@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -259,7 +260,7 @@ def test_a_variant_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeyp
     assert result.exit_code == 3
     run = json.loads((result.folder / "linear" / "run.json").read_text())
     assert run["status"] == "failed" and run["frames"] == 3
-    assert run["message"] == "it broke (at step 3, t = 0.06 s)"
+    assert run["message"].startswith("it broke (at step 3, t = 0.06 s); after step 2 0 of 18 cells are inverted")
     assert run["last_frame"] == {"index": 2, "step": 2, "time": 0.04}
     joined = compared(tmp_path / "outputs")
     assert joined["method"].values.tolist() == VARIANTS and joined.sizes["time"] == 5
@@ -309,9 +310,16 @@ def test_a_run_that_is_interrupted_stays_marked_as_running_with_its_frames(tmp_p
         assert dataset.sizes["time"] == 3
 
 
-def test_a_motion_too_large_for_its_numbers_fails_as_a_step_not_as_a_traceback(tmp_path):
+def test_a_motion_too_large_for_its_numbers_fails_as_a_step_not_as_a_traceback(tmp_path, monkeypatch):
     """Positions of 1e150 m are finite, their volumes are not."""
-    result = solve(tmp_path / "outputs", sections={"initial": {"velocity": [0.0, 0.0, 1e150]}})
+    genuine = BackwardEuler.step
+
+    def leaping(self, state):
+        new, work = genuine(self, state)
+        return replace(new, x=1e150 * new.x), work
+
+    monkeypatch.setattr(BackwardEuler, "step", leaping)
+    result = solve(tmp_path / "outputs")
     assert set(statuses(result).values()) == {"failed"} and result.exit_code == 3
 
 

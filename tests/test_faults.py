@@ -81,7 +81,7 @@ def assert_readable(folder: Path) -> int:
 @pytest.mark.slow
 def test_kill_9_at_random_moments_loses_one_frame_at_most_and_the_rest_goes_on(tmp_path):
     """Each child goes on where the one before was killed; the last one is let finish."""
-    path, out = written(tmp_path, frames=60 * KILLS), tmp_path / "parts"
+    path, out = written(tmp_path, frames=30 * KILLS), tmp_path / "parts"
     folder = out / "beam" / "only"
     before, moments = 0, random.Random(0)
     for _ in range(KILLS):
@@ -90,7 +90,7 @@ def test_kill_9_at_random_moments_loses_one_frame_at_most_and_the_rest_goes_on(t
         while not (folder / f"frames/frame_{before + 1:06d}.vtu").exists() and child.is_alive():
             assert time.monotonic() < deadline
             time.sleep(0.001)
-        time.sleep(moments.random() * 0.15)
+        time.sleep(moments.random() * 0.06)
         child.kill()
         child.join()
         assert child.exitcode == -signal.SIGKILL
@@ -215,3 +215,55 @@ def test_the_dataset_of_an_interrupted_run_can_be_read_while_it_is_unfinished(tm
         solve(written(tmp_path), tmp_path / "out", notify=interrupted)
     with xarray.open_dataset(tmp_path / "out" / "beam" / "only" / "statistics.nc") as dataset:
         assert dataset.sizes["time"] == 4
+
+
+def test_force_does_not_break_another_run_s_lock(tmp_path, capfd):
+    path, out = written(tmp_path), tmp_path / "out"
+    solve(path, out)
+    before = {file: file.read_bytes() for file in out.rglob("*") if file.is_file()}
+    code = "import sys\nfrom pathlib import Path\nfrom pipeline.record_keeping import folder_lock\n" + (
+        "with folder_lock(Path(sys.argv[1])):\n    print('held', flush=True)\n    sys.stdin.read()"
+    )
+    holder = subprocess.Popen(
+        [sys.executable, "-c", code, str(out / "beam")], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    try:
+        assert holder.stdout.readline() == b"held\n"
+        for way in ("--force", "--resume"):
+            assert main(["run", str(path), "--out", str(out), "--quiet", way]) == 2
+            assert "another run is writing there" in capfd.readouterr().err
+        assert {file: file.read_bytes() for file in before} == before
+    finally:
+        holder.communicate()
+    assert main(["run", str(path), "--out", str(out), "--quiet", "--no-movie", "--force"]) == 0
+
+
+@pytest.mark.opengl
+@pytest.mark.parametrize("script", ["exit 3", "head -c 3000000 >/dev/null; exit 1", "sleep 0.2; kill -9 $$"])
+def test_an_encoder_that_fails_costs_the_movie_and_nothing_else(tmp_path, monkeypatch, capfd, script):
+    broken = tmp_path / "ffmpeg"
+    broken.write_text(f"#!/bin/sh\necho 'no such codec' >&2\n{script}\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(broken))
+    path, out = written(tmp_path), tmp_path / "out"
+    assert main(["run", str(path), "--out", str(out)]) == 0
+    shown = capfd.readouterr()
+    assert re.search(r"note: .*comparison\.mp4: the encoder failed \(exit code .*\): no such codec", shown.out)
+    assert "Traceback" not in shown.err
+    assert not (out / "beam" / "comparison.mp4").exists() and list(out.rglob(".*.tmp*")) == []
+    assert (out / "beam" / "comparison.nc").exists() and assert_readable(out / "beam" / "only") == 13
+    monkeypatch.delenv("IMAGEIO_FFMPEG_EXE")
+    assert main(["movie", str(out / "beam"), "--quiet"]) == 0 and (out / "beam" / "comparison.mp4").exists()
+
+
+def test_reproduce_goes_on_where_it_stopped(tmp_path, monkeypatch, capfd):
+    seen = []
+
+    def campaign(case, out, **keywords):
+        seen.append((case.name, keywords["resume"], keywords["force"]))
+        raise OutputError("far enough")
+
+    monkeypatch.setattr("pipeline.reproduction.run_campaign", campaign)
+    for way in ([], ["--resume"], ["--force"]):
+        assert main(["reproduce", "--cases", str(ROOT / "cases"), "--out", str(tmp_path), *way]) == 4
+    assert [one[1:] for one in seen] == [(False, False), (True, False), (False, True)]

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray
 
 from pipeline import build, frames, load_case
+from pipeline.campaign import run_campaign
 from pipeline.errors import CaseError
 from pipeline.fem.body import Body
 from pipeline.fem.supports import rotation_about
@@ -14,6 +16,7 @@ from pipeline.fem.turning import spurious_volume
 from pipeline.frame import Frame
 from pipeline.mesh.shapes import box
 from pipeline.mesh.simplex import signed_volumes
+from pipeline.series import read_series
 from pipeline.stepping.guard import Guarded
 from tests.bodies import solid
 
@@ -133,3 +136,24 @@ def test_auto_needs_an_implicit_stepper() -> None:
 def test_auto_is_watched_whatever_iterations_the_case_had() -> None:
     case = load_case(CASES / "twisted_bar.toml", overrides={"method.model": "auto"}).variant("converged")
     assert isinstance(build(case).prepare(), Guarded)
+
+
+def test_what_every_step_needed_is_recorded_plotted_and_made_again_from_frames(tmp_path) -> None:
+    overrides = {"method.model": "auto", "schedule.steps_per_frame": 3, "schedule.frames": 8}
+    case = load_case(CASES / "bar.toml", overrides=overrides)
+    result = run_campaign(case, tmp_path, variants=["polar", "linear"], movie=False)
+    folder = result.folder / "polar"
+    with xarray.open_dataset(folder / "statistics.nc") as dataset:
+        assert dataset["step"].values.tolist() == list(range(1, 25))
+        assert dataset["step_rung"].attrs["long_name"].startswith("model")
+        whole = {"rung": "step_rung", "newton_iterations": "step_solves", "indicator": "step_indicator"}
+        by_frame = {frame: dataset[step].values.reshape(8, 3) for frame, step in whole.items()}
+        assert np.array_equal(by_frame["rung"].max(axis=1), dataset["rung"].values[1:])
+        assert np.array_equal(by_frame["indicator"].max(axis=1), dataset["indicator"].values[1:])
+        assert np.array_equal(by_frame["newton_iterations"].sum(axis=1), dataset["newton_iterations"].values[1:])
+        assert len(set(dataset["step_rung"].values)) > 1 and 0 < dataset["step_indicator"].max() <= TOLERANCE
+        again = [frame.known["step_indicator"] for frame in read_series(folder)]
+        assert np.isnan(again[0]).all() and np.array_equal(np.concatenate(again[1:]), dataset["step_indicator"])
+    with xarray.open_dataset(result.folder / "comparison.nc") as comparison:
+        assert "step" not in comparison.dims and "rung" in comparison
+    assert result.folder / "effort.png" in result.made

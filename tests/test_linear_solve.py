@@ -9,11 +9,12 @@ from pipeline import build, frames, load_case
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import assemble_pattern
 from pipeline.mesh.shapes import box
-from pipeline.methods import LINEAR_SOLVERS
+from pipeline.methods import LINEAR_SOLVERS, linear_solvers
 from pipeline.stepping import linear_solve, pardiso, warped
 from pipeline.stepping.banded import Band, BandedCholesky
 from pipeline.stepping.pardiso import Pardiso
-from pipeline.stepping.warped import WarpedCG
+from pipeline.stepping.symplectic_euler import true_limit
+from pipeline.stepping.warped import warped_cg
 
 
 def path(cases_folder, solver: str, variant: str, **keys: object) -> list[np.ndarray]:
@@ -25,7 +26,7 @@ def path(cases_folder, solver: str, variant: str, **keys: object) -> list[np.nda
 
 @pytest.mark.parametrize("variant", ["linear", "gram_schmidt", "polar", "converged"])
 def test_all_solvers_give_the_same_trajectory(cases_folder, variant: str) -> None:
-    runs = {name: path(cases_folder, name, variant) for name in LINEAR_SOLVERS}
+    runs = {name: path(cases_folder, name, variant) for name in ("auto", *LINEAR_SOLVERS)}
     size = np.linalg.norm([4.0, 12.0, 4.0])
     for name, run in runs.items():
         apart = max(np.abs(a - b).max() for a, b in zip(run, runs["superlu"], strict=True))
@@ -67,14 +68,32 @@ def test_warped_gives_the_same_with_every_factor(cases_folder, monkeypatch, fact
     assert warped.rest_factor(pattern, unit).name == factor
 
 
-@pytest.mark.parametrize("solver", ["superlu", "pardiso"])
-def test_without_mkl_large_constant_matrices_go_to_superlu(monkeypatch, solver: str) -> None:
-    monkeypatch.setattr(linear_solve, "_CONSTANT_BAND", 0.0)
-    monkeypatch.setattr(linear_solve, "_CONSTANT_BAND_WITHOUT_MKL", 0.0)
-    if solver == "superlu":
-        monkeypatch.setattr(linear_solve, "library", lambda: None)
-    pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
-    assert type(LINEAR_SOLVERS["auto"](pattern, 1e-8, None)) is LINEAR_SOLVERS[solver]
+def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypatch) -> None:
+    small = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
+    large = assemble_pattern(box([1.0, 1.0, 1.0], [9, 9, 9])).pattern
+
+    def chosen(pattern, *, constant: bool, stiffness: float = 1e3) -> str:
+        name, reason = linear_solve.choice(pattern, constant=constant, stiffness=stiffness)
+        assert "MB" in reason
+        return name
+
+    assert chosen(small, constant=True) == chosen(small, constant=False) == "banded"
+    assert chosen(large, constant=False) == "warped"
+    monkeypatch.setattr(linear_solve, "_CONSTANT_BAND", 1.0)
+    monkeypatch.setattr(warped, "_SMALL_BAND", 1.0)
+    assert chosen(large, constant=True) == "pardiso"
+    assert chosen(large, constant=False) == "warped" and chosen(large, constant=False, stiffness=2.0) == "cg"
+    monkeypatch.setattr(linear_solve, "library", lambda: None)
+    monkeypatch.setattr(linear_solve, "_CONSTANT_BAND_WITHOUT_MKL", 1.0)
+    assert chosen(large, constant=True) == "superlu"
+    monkeypatch.setattr(linear_solve, "_memory", lambda: 1e6)
+    assert chosen(large, constant=True) == chosen(large, constant=False) == "cg"
+
+
+def test_the_bound_of_the_frequencies_is_one(cases_folder) -> None:
+    body = build(load_case(cases_folder / "bar.toml").variant("polar")).body
+    highest = 2 / true_limit(body)
+    assert highest <= body.frequency_bound < 4 * highest
 
 
 def test_pardiso_without_mkl_says_what_to_install(monkeypatch) -> None:
@@ -84,7 +103,7 @@ def test_pardiso_without_mkl_says_what_to_install(monkeypatch) -> None:
         LINEAR_SOLVERS["pardiso"](pattern, 1e-8, None)
 
 
-@pytest.mark.parametrize("solver", [BandedCholesky, WarpedCG, Pardiso])
+@pytest.mark.parametrize("solver", [BandedCholesky, warped_cg, Pardiso])
 def test_an_indefinite_matrix_is_an_error(solver) -> None:
     pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
     good = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
@@ -111,3 +130,21 @@ def test_a_band_holds_every_entry_once() -> None:
     x, _ = solver.solve(b, b)
     np.testing.assert_allclose(full @ x.ravel(), b.ravel(), atol=1e-12)
     assert Band(pattern).width < len(full)
+
+
+@pytest.mark.parametrize(
+    ("variant", "keys", "names"),
+    [
+        ("linear", {}, ["banded"]),
+        ("polar", {}, ["banded"]),
+        ("polar", {"mesh.cells": [6, 12, 6]}, ["warped"]),
+        ("polar", {"method.model": "auto", "mesh.cells": [6, 12, 6]}, ["banded", "warped"]),
+        ("polar", {"method.linear_solver": "cg"}, ["cg"]),
+    ],
+)
+def test_a_run_says_which_solver_it_used_and_why(cases_folder, variant: str, keys: dict, names: list[str]) -> None:
+    problem = build(load_case(cases_folder / "bar.toml", overrides=keys).variant(variant))
+    told = linear_solvers(problem.body, problem.dt, problem.method)
+    assert [one["name"] for one in told] == names
+    for one in told:
+        assert one["reason"] == "the case names it" if names == ["cg"] else " MB, " in one["reason"]

@@ -11,12 +11,14 @@ from html.parser import HTMLParser
 import msgpack
 import numpy as np
 import pytest
+import pyvista
 import xarray
 
 from pipeline.analysis import analyze, compare
 from pipeline.campaign import run_campaign
 from pipeline.case import load_case
 from pipeline.cli import main
+from pipeline.comparison import recorded
 from pipeline.errors import OutputError
 from pipeline.report import report_of_analysis, report_of_folder
 from pipeline.series import read_series
@@ -201,8 +203,11 @@ def test_a_variant_that_failed_and_one_that_is_missing(tmp_path, monkeypatch):
     text = report_of_folder(folder).read_text(encoding="utf-8")
     assert "linear failed: it &lt;blew&gt; up" in text
     assert "polar is not shown: it is not finished" in text
+    (folder / "case.toml").write_text((folder / "case.toml").read_text().replace("frames = 4", "frames = 5"))
+    with pytest.raises(OutputError, match=r"of another case \(schedule.frames: 4 there, 5 here\); pipeline run"):
+        report_of_folder(folder)
     run.write_text(json.dumps(json.loads(run.read_text()) | {"status": "running"}))
-    with pytest.raises(OutputError, match="no variant of this case is finished"):
+    with pytest.raises(OutputError, match="nothing to report: linear is not shown: it is not finished; pipeline run"):
         report_of_folder(folder)
 
 
@@ -257,3 +262,21 @@ def test_what_is_no_result_folder_is_told_in_a_line(tmp_path, capsys):
     for verb in ("report", "view"):
         assert main([verb, str(tmp_path / "none")]) == 2
         assert "CaseError: " in (said := capsys.readouterr().err) and said.count("\n") == 1 and "none" in said
+
+
+def test_a_case_with_a_mesh_file_is_known_from_its_result_folder(tmp_path, monkeypatch, project_root):
+    """Seen from there the file has another name; a page and a movie of such a folder were refused."""
+    without_figures(monkeypatch)
+    (tmp_path / "meshes").mkdir()
+    mesh = pyvista.ImageData(dimensions=(2, 2, 2)).to_tetrahedra()
+    for name in ("cube.vtu", "other.vtu"):
+        mesh.save(tmp_path / "meshes" / name)
+    sections = {"supports": [{"plane": "y", "at": 1.0}], "variants": None}
+    path = write_case(tmp_path, mesh={"file": "meshes/cube.vtu"}, **sections)
+    folder = run_campaign(load_case(path), tmp_path / "outputs", movie=False).folder
+    case = load_case(folder / "case.toml")
+    assert list(recorded(case, folder)) == ["default"]
+    assert "One series of 5 tetrahedra" in report_of_folder(folder).read_text(encoding="utf-8")
+    text = (folder / "case.toml").read_text()
+    (folder / "case.toml").write_text(text.replace("cube.vtu", "other.vtu"))
+    assert not recorded(load_case(folder / "case.toml"), folder)

@@ -20,7 +20,9 @@ from pipeline.cli import main
 from pipeline.errors import CaseError
 from pipeline.record_keeping import LOCK, Interrupted, folder_lock
 from pipeline.run import RunSummary
+from pipeline.series import read_series
 from pipeline.sinks.checkpoint import Checkpoint, CheckpointFolder, decoded, encoded
+from pipeline.statistics import series_statistics
 from pipeline.stepping.bdf2 import BDF2
 from pipeline.stepping.state import State, Work
 from tests.bodies import PLANAR, case_document, without_figures, write_case
@@ -411,13 +413,16 @@ def test_a_lock_file_that_was_removed_while_it_was_waited_for_is_made_again(tmp_
         assert len(opened) == 2 and (tmp_path / LOCK).exists()
 
 
-def test_output_removed_while_it_is_written_is_an_error_or_made_again_never_a_traceback(tmp_path, monkeypatch):
+@pytest.mark.parametrize("whole_case", [False, True])
+def test_output_removed_while_it_is_written_is_an_error_or_made_again_never_a_traceback(
+    tmp_path, monkeypatch, whole_case
+):
     genuine = variant_run.VariantRun._on_frame
 
     def removing(self, frame, measured, summary):
         genuine(self, frame, measured, summary)
         if frame.index == 2:
-            shutil.rmtree(self.folder)
+            shutil.rmtree(self.folder.parent if whole_case else self.folder)
 
     path = written(tmp_path)
     whole = solve(path, tmp_path / "whole").variants[0]
@@ -427,3 +432,56 @@ def test_output_removed_while_it_is_written_is_an_error_or_made_again_never_a_tr
     assert code in (2, 4)
     assert solve(path, tmp_path / "out", force=True).variants[0].status == "finished"
     assert_same_results(whole.folder, tmp_path / "out" / "beam" / "only")
+
+
+# Frames that the index does not list yet
+
+
+def without_last_rows(folder: Path, kept: int) -> None:
+    """The index as a kill leaves it: up to a second behind."""
+    index = folder / "series.pvd"
+    lines = index.read_text().splitlines()
+    index.write_text("\n".join([line for i, line in enumerate(lines) if "<DataSet" not in line or i < 3 + kept]))
+
+
+def test_complete_frames_that_the_index_does_not_list_yet_are_read(tmp_path, monkeypatch):
+    folder = stopped_after(written(tmp_path), tmp_path / "out", 8, monkeypatch)
+    whole = read_series(folder)
+    assert len(whole) == 4 and whole.times == pytest.approx([0.0, 0.04, 0.08, 0.12], rel=1e-15)
+    without_last_rows(folder, 2)
+    assert (folder / "series.pvd").read_text().count("<DataSet") == 2
+    again = read_series(folder)
+    assert again.times == whole.times and again.files == whole.files and again.notes == whole.notes
+    xarray.testing.assert_identical(series_statistics(again), series_statistics(whole))
+    (folder / "frames/frame_000002.vtu").unlink()  # behind a gap nothing is taken
+    assert len(read_series(folder)) == 2
+    (folder / "run.json").unlink()  # of others only what their index says
+    assert not read_series(folder).ours
+
+
+def test_a_movie_of_a_killed_run_shows_all_its_frames(tmp_path, monkeypatch):
+    folder = stopped_after(written(tmp_path), tmp_path / "out", 8, monkeypatch)
+    without_last_rows(folder, 1)
+    run = json.loads((folder / "run.json").read_text())
+    gone = ("frames", "last_frame", "worst", "work", "seconds", "seconds_per_step", "real_time_factor", "message")
+    killed = {key: value for key, value in run.items() if key not in gone} | {"status": "running"}
+    (folder / "run.json").write_text(json.dumps(killed))
+    shown = []
+    monkeypatch.setattr("pipeline.views.movie.write_movie", lambda series, *_, **__: shown.extend(series))
+    assert main(["movie", str(folder.parent), "--quiet"]) == 0
+    assert [len(series) for series in shown] == [4]
+
+
+def test_checkpoints_every_so_many_frames(tmp_path, monkeypatch):
+    steps = []
+    genuine = CheckpointFolder.write
+
+    def counting(self, checkpoint):
+        genuine(self, checkpoint)
+        steps.append(checkpoint.state.step)
+
+    monkeypatch.setattr(CheckpointFolder, "write", counting)
+    output = {"checkpoint_frames": 2}
+    solve(written(tmp_path, output=output), tmp_path / "out")
+    assert steps == [4, 8]
+    assert solve(written(tmp_path, output={}), tmp_path / "out").variants[0].status == "up to date"

@@ -239,7 +239,7 @@ class ScheduleSpec(Spec):
 
 
 class OutputSpec(Spec):
-    """How frames are written; the seconds of wall time between two checkpoints, which no result depends on.
+    """How frames are written; the wall time or the frames between two checkpoints, which no result depends on.
 
     With `precision` float32 the fields in the frames are rounded; statistics.nc is float64 always.
     """
@@ -247,6 +247,7 @@ class OutputSpec(Spec):
     format: Annotated[str, choice("vtu", "vtkhdf")] = "vtu"
     precision: Annotated[Literal["float64", "float32"], choice("float64", "float32")] = "float64"
     checkpoint_seconds: Positive = 10.0
+    checkpoint_frames: Count | None = None
 
 
 class MovieSpec(Spec):

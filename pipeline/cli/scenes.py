@@ -39,7 +39,9 @@ def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
     again = verbs.add_parser("reproduce", parents=[common], help="run the seeds' scenes; say what of them holds")
     again.add_argument("--cases", type=Path, default=Path("cases"), metavar="DIR", help="where the cases are (cases)")
     again.add_argument("--out", type=Path, default=Path("outputs"), metavar="DIR", help="where results go (outputs)")
-    again.add_argument("--force", action="store_true", help="solve again and replace what is there")
+    over = again.add_mutually_exclusive_group()
+    over.add_argument("--force", action="store_true", help="solve again and replace what is there")
+    over.add_argument("--resume", action="store_true", help="go on with an unfinished scene where it stopped")
     again.set_defaults(run=_reproduce)
 
     methods = verbs.add_parser("methods", parents=[common], help="what a case may choose from")
@@ -148,6 +150,7 @@ def _reproduce(options: argparse.Namespace) -> int:
             options.cases,
             options.out,
             force=options.force,
+            resume=options.resume,
             notify=lambda _, problem, *rest: bar.solved(problem.name.split("/")[0], problem, *rest),
             on_drawing=bar.drawn,
         )

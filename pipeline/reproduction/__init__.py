@@ -49,20 +49,22 @@ def reproduce(
     scenes: Sequence[str] = ALL_SCENES,
     frames: int | None = None,
     force: bool = False,
+    resume: bool = False,
     movie: bool = True,
     notify: Notify | None = None,
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> Reproduction:
     """Run the scenes of a folder of cases into out/<case>/ and write out/reproduction.html and .md.
 
-    What is up to date is not solved again. `frames` shortens every schedule. Raises PipelineError as run_campaign does.
+    What is up to date is not solved again; `resume` goes on with what is unfinished. `frames` shortens every schedule.
+    Raises PipelineError as run_campaign does.
     """
     overrides = {} if frames is None else {"schedule.frames": frames}
     loaded = [load_case(Path(cases) / f"{name}.toml", overrides=overrides) for name in scenes]
     bar = build(load_case(Path(cases) / f"bar_small{AS_PRINTED}.toml").variant("linear"))
     ran, failed = {}, []
     for case in loaded:
-        result = run_campaign(case, out, force=force, movie=movie, notify=notify, on_drawing=on_drawing)
+        result = run_campaign(case, out, force=force, resume=resume, movie=movie, notify=notify, on_drawing=on_drawing)
         ran[case.name] = scene_of(case, result)
         failed += [f"{case.name}/{v.name}" for v in result.variants if v.run.get("status") == "failed"]
     own = Path(out) / "reproduction"

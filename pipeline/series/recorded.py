@@ -59,7 +59,8 @@ class Series:
         for name in grid.field_data.keys() & VARIABLES.keys():
             dims = VARIABLES[name].dims
             value = np.asarray(grid.field_data[name], dtype=np.float64)
-            if value.size == _LENGTHS.get(dims):  # a field of that name may be something else elsewhere
+            # a field of that name may be something else elsewhere
+            if dims == ("step",) or value.size == _LENGTHS.get(dims):
                 known[name] = value.reshape([-1] if dims else [])
         step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
         return Frame(index, self.times[index], self.mesh, x, step=step, v=self._velocity(grid), known=known)

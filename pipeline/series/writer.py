@@ -32,7 +32,7 @@ def dataset_to_pvd(dataset: "xarray.Dataset", path: Path | str) -> Path:
         if index == 0:
             said = {str(key): one.attrs for key, one in dataset.variables.items()} | {"": dataset.attrs}
             grid.field_data[ATTRIBUTES] = [json.dumps(said, default=_plain)]
-        write_whole(path.parent / name, _encoded(grid, path.parent / name))
+        write_whole(path.parent / name, encoded(grid, path.parent / name))
         listed.append((time, name))
     write_whole(path, pvd_text(listed))
     return path
@@ -48,8 +48,8 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
-def _encoded(grid: Any, file: Path) -> str:
-    """Return the text of a .vtu: inline base64, zlib, which every ParaView reads."""
+def encoded(grid: Any, file: Path) -> str:
+    """Return the text of a .vtu: inline base64, zlib, which every ParaView reads; raises OutputError."""
     from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
     writer = vtkXMLUnstructuredGridWriter()

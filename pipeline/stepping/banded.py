@@ -3,6 +3,8 @@
 No fill-in to find and nothing but dense arithmetic: the fastest factor of small meshes.
 """
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs, spbtrf
 from scipy.sparse import csr_array
@@ -52,6 +54,16 @@ class Band:
         return factored(self.filled(values, np.empty((self.size, self.width), dtype=dtype)))
 
 
+_BANDS: WeakKeyDictionary[BlockPattern, Band] = WeakKeyDictionary()
+
+
+def band_of(pattern: BlockPattern) -> Band:
+    """Return the band of a pattern, found once."""
+    if pattern not in _BANDS:
+        _BANDS[pattern] = Band(pattern)
+    return _BANDS[pattern]
+
+
 def factored(band: np.ndarray) -> np.ndarray:
     """Return the Cholesky factor of a lower band (width, size), in its place; raises SolveError where there is none."""
     factor, info = (spbtrf if band.dtype == np.float32 else dpbtrf)(band, lower=1, overwrite_ab=1)
@@ -64,7 +76,7 @@ class BandedCholesky:
     """A factor of the band for every new matrix; positive definite ones only."""
 
     def __init__(self, pattern: BlockPattern, rtol: float = 0.0, rest: object = None) -> None:
-        self._band = Band(pattern)
+        self._band = band_of(pattern)
         self._storage = np.empty((self._band.size, self._band.width))
 
     def update(self, values: Floats, frames: object = None) -> Work:

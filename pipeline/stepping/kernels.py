@@ -46,6 +46,22 @@ def descend(step, p, Ap, x, r):
 
 
 @njit(cache=True, error_model="numpy")
+def by_blocks(D, r, Ap, z):
+    """Write D_n r_n into z (n, d) for every node n; return z . r and z . A p."""
+    d = r.shape[1]
+    zr = zAp = 0.0
+    for n in range(len(r)):
+        for i in range(d):
+            value = 0.0
+            for j in range(d):
+                value += D[n, i, j] * r[n, j]
+            z[n, i] = value
+            zr += value * r[n, i]
+            zAp += value * Ap[n, i]
+    return zr, zAp
+
+
+@njit(cache=True, error_model="numpy")
 def turn(Q, r, order, size, y):
     """Write Q^T r / size into y (n d,) in single precision, its nodes in the given order."""
     d = r.shape[1]

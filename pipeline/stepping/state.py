@@ -28,6 +28,7 @@ class Work:
     """What was done: counts that machines share, and the seconds that they do not.
 
     `rung` and `indicator` say which model the most demanding step needed, and its spurious volume (fidelity.py).
+    `history` has these two and the solves of each step of model = "auto", for as long as someone asks.
     `iterations` counts the linear systems' right-hand sides posed (Newton iterations), `solves` the systems solved for
     them, `linear_iterations` what iterative solvers took for it; `seconds` is solving alone, without measuring or
     writing.
@@ -42,6 +43,7 @@ class Work:
     seconds: float = 0.0
     rung: int = 0
     indicator: float = 0.0
+    history: tuple[tuple[int, int, float], ...] = ()
 
     def __add__(self, other: "Work") -> "Work":
         mine, theirs = self.__dict__, other.__dict__

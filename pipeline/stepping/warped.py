@@ -15,15 +15,14 @@ import numpy as np
 from scipy.linalg.lapack import spbtrs
 from scipy.sparse.linalg import splu
 
-from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping import pardiso
-from pipeline.stepping.banded import Band
+from pipeline.stepping.banded import band_of
+from pipeline.stepping.conjugate_gradients import ConjugateGradients, Frames
 from pipeline.stepping.state import Work
 
 Singles = np.ndarray
-_LIMIT = 2000
 # [MB] of the band in double precision: above the first MKL's sparse factor is faster to read, above the second any is
 _SMALL_BAND = 20.0
 _LARGE_BAND = 60.0
@@ -38,85 +37,90 @@ class RestFactor:
     solve: Callable[[Singles], Singles]
 
 
-def rest_factor(pattern: BlockPattern, values: Floats) -> RestFactor:
-    """Return the factor: banded; for larger ones by MKL, by CHOLMOD (both from the `fast` extra), or by SuperLU."""
-    band = Band(pattern)
-    if band.megabytes <= (_LARGE_BAND if pardiso.library() is None else _SMALL_BAND):
-        factor = band.factored(values, np.float32)
-        return RestFactor("banded", band.order, lambda b: spbtrs(factor, b, lower=1, overwrite_b=1)[0])
-    nodes = np.arange(pattern.nodes)
+def factor_kind(band_megabytes: float) -> str:
+    """Return how the state at rest is factored: banded; for larger ones by MKL, CHOLMOD (`fast` extra), or SuperLU."""
+    if band_megabytes <= (_LARGE_BAND if pardiso.library() is None else _SMALL_BAND):
+        return "banded"
     if pardiso.library() is not None:
-        sparse = pardiso.Factor(pattern, np.float32)
-        sparse.update(values)
-        return RestFactor("mkl", nodes, sparse.solve)
-    matrix = pattern.matrix(values).tocsc()
+        return "mkl"
     try:
-        from cholespy import CholeskySolverF, MatrixType
+        import cholespy  # noqa: F401
     except ImportError:
-        solve = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}).solve
-        return RestFactor("superlu", nodes, lambda b: solve(b.astype(np.float64)).astype(np.float32))
-    coo = matrix.tocoo()
-    made = CholeskySolverF(matrix.shape[0], coo.row, coo.col, coo.data, MatrixType.COO)
+        return "superlu"
+    return "cholmod"
 
-    def solve_sparse(b: Singles) -> Singles:
+
+def rest_factor(pattern: BlockPattern, values: Floats) -> RestFactor:
+    """Return the factor of the matrix with these values (blocks, d, d), of the kind for its size."""
+    kind = factor_kind(band_of(pattern).megabytes)
+    return FACTORS[kind](pattern, values)
+
+
+def _banded(pattern: BlockPattern, values: Floats) -> RestFactor:
+    band = band_of(pattern)
+    factor = band.factored(values, np.float32)
+    return RestFactor("banded", band.order, lambda b: spbtrs(factor, b, lower=1, overwrite_b=1)[0])
+
+
+def _by_mkl(pattern: BlockPattern, values: Floats) -> RestFactor:
+    factor = pardiso.Factor(pattern, np.float32)
+    factor.update(values)
+    return RestFactor("mkl", np.arange(pattern.nodes), factor.solve)
+
+
+def _by_cholmod(pattern: BlockPattern, values: Floats) -> RestFactor:
+    from cholespy import CholeskySolverF, MatrixType
+
+    matrix = pattern.matrix(values).tocoo()
+    made = CholeskySolverF(matrix.shape[0], matrix.row, matrix.col, matrix.data, MatrixType.COO)
+
+    def solve(b: Singles) -> Singles:
         x = np.empty_like(b)
         made.solve(b, x)
         return x
 
-    return RestFactor("cholmod", nodes, solve_sparse)
+    return RestFactor("cholmod", np.arange(pattern.nodes), solve)
 
 
-class WarpedCG:
-    """Solves for changing matrices of one pattern with one factor: that of rest(), or of the first."""
+def _by_superlu(pattern: BlockPattern, values: Floats) -> RestFactor:
+    matrix = pattern.matrix(values).tocsc()
+    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    nodes = np.arange(pattern.nodes)
+    return RestFactor("superlu", nodes, lambda b: factor.solve(b.astype(np.float64)).astype(np.float32))
 
-    def __init__(self, pattern: BlockPattern, rtol: float, rest: Callable[[], Floats] | None) -> None:
+
+FACTORS = {"banded": _banded, "mkl": _by_mkl, "cholmod": _by_cholmod, "superlu": _by_superlu}
+
+
+class TurnedFactor:
+    """Q A_0^-1 Q^T, with one factor for all matrices: that of rest(), or of the first."""
+
+    def __init__(self, pattern: BlockPattern, rest: Callable[[], Floats] | None) -> None:
         self.pattern = pattern
-        self.rtol = rtol
-        self._factor = None if rest is None else rest_factor(pattern, rest())
+        self.factor = None if rest is None else rest_factor(pattern, rest())
         self._setup = Work(factorisations=1)
-        n, d = pattern.nodes, pattern.dimension
-        self._r, self._z, self._p, self._Ap = (np.empty((n, d)) for _ in range(4))
-        self._y = np.empty(n * d, dtype=np.float32)
+        self._y = np.empty(pattern.nodes * pattern.dimension, dtype=np.float32)
 
-    def update(self, values: Floats, frames: Callable[[], Floats]) -> Work:
-        """Take the matrix with these values and the nodal rotations (n, d, d) of its state; values are not copied."""
-        self._values = values
-        if self._factor is None:
-            self._factor = rest_factor(self.pattern, values)
+    def update(self, values: Floats, frames: Frames) -> Work:
+        """Take the nodal rotations (n, d, d) of the matrix' state."""
+        if self.factor is None:
+            self.factor = rest_factor(self.pattern, values)
         self._Q = frames()
         work, self._setup = self._setup, Work()
         return work
 
-    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
-        """Return x (n, d) to a relative residual of rtol from guess; raises SolveError where that is not reached."""
+    def apply(self, r: Floats, size: float, Ap: Floats, z: Floats) -> tuple[float, float]:
+        """Write Q A_0^-1 Q^T r into z; r / size is what single precision has to hold."""
         from pipeline.stepping import kernels
 
-        x, r, z, p, Ap = guess.copy(), self._r, self._z, self._p, self._Ap
-        target = self.rtol * np.sqrt(kernels.dot(b, b))
-        size = kernels.subtract(b, self.pattern.product(self._values, x, Ap), r)
-        p[:] = 0.0
-        rz, step = 1.0, 0.0  # so that the first direction is z
-        for iteration in range(_LIMIT):
-            if size <= target:
-                return x, Work(solves=1, linear_iterations=iteration)
-            rz_new, zAp = self._precondition(size)
-            # Polak-Ribiere, (r_new - r) . z = -step A p . z: the single precision of the factor makes the
-            # preconditioner a little different each time
-            kernels.follow(z, -step * zAp / rz, p)
-            rz = rz_new
-            curvature = kernels.dot(p, self.pattern.product(self._values, p, Ap))
-            if not curvature > 0:
-                raise SolveError(f"the system's matrix is not positive definite (p . A p = {curvature:.3g})")
-            step = rz / curvature
-            size = kernels.descend(step, p, Ap, x, r)
-        raise SolveError(f"warped conjugate gradients did not reach {self.rtol:g} in {_LIMIT} iterations")
-
-    def _precondition(self, size: float) -> tuple[float, float]:
-        """Write z = Q A_0^-1 Q^T r, return z . r and z . A p; r / size is what single precision has to hold."""
-        from pipeline.stepping import kernels
-
-        assert self._factor is not None
+        assert self.factor is not None
         size = size or 1.0
-        kernels.turn(self._Q, self._r, self._factor.order, size, self._y)
-        y = self._factor.solve(self._y)
-        return kernels.turn_back(self._Q, y, self._factor.order, size, self._r, self._Ap, self._z)
+        kernels.turn(self._Q, r, self.factor.order, size, self._y)
+        y = self.factor.solve(self._y)
+        result: tuple[float, float] = kernels.turn_back(self._Q, y, self.factor.order, size, r, Ap, z)
+        return result
+
+
+def warped_cg(pattern: BlockPattern, rtol: float, rest: Callable[[], Floats] | None) -> ConjugateGradients:
+    """Return conjugate gradients with the turned factor of the state at rest."""
+    return ConjugateGradients(pattern, rtol, TurnedFactor(pattern, rest))

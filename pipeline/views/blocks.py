@@ -126,7 +126,7 @@ def html_block(block: Block) -> str:
     if isinstance(block, Paragraph):
         return f"<p>{_inline(block.text)}</p>"
     if isinstance(block, Listing):
-        return f"<pre><code>{escape(block.text.rstrip(), quote=False)}</code></pre>"
+        return f'<pre tabindex="0"><code>{escape(block.text.rstrip(), quote=False)}</code></pre>'
     if isinstance(block, Picture):
         return (
             f'<figure><img alt="{escape(block.caption)}" src="{data_uri(block.path, "image/png")}">'
@@ -135,7 +135,8 @@ def html_block(block: Block) -> str:
     head = "".join(f'<th scope="col">{_inline(cell)}</th>' for cell in block.head)
     rows = "\n".join("<tr>" + "".join(_html_cell(cell) for cell in row) + "</tr>" for row in block.rows)
     caption = f"<caption>{_inline(block.caption)}</caption>" if block.caption else ""
-    return f'<div class="wide"><table>{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>'
+    table = f"<table>{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}\n</tbody></table>"
+    return f'<div class="wide" tabindex="0">{table}</div>'  # the focus lets keys scroll what is too wide
 
 
 def _html_cell(text: str) -> str:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 MOST_MOVIE_BYTES = 4_000_000  # a longer film is linked, not carried along
 WORST = 5  # cells a series
+VIEWER = "The bodies are drawn by k3d and three.js (MIT); their licences are in the source of this page."
 NO_VIEWER = "The bodies in space are missing: the package k3d is not installed (`pip install k3d`)."
 # nothing may be fetched: a browser refuses what this page should ever ask for
 _POLICY = (
@@ -67,7 +68,7 @@ def write_page(result: Result, path: Path, on_frame: OnFrame | None = None) -> P
         moments = [min(worst_frame(s), len(side.series) - 1) for s, side in zip(statistics, result.sides, strict=True)]
     labels = [side.label for side in result.sides]
     shown = solids([side.series for side in result.sides], labels, moments, on_frame)
-    notes = [*result.notes, *(shown.notes if shown else [NO_VIEWER])]
+    notes = [*result.notes, *([*shown.notes, VIEWER] if shown else [NO_VIEWER])]
     closing = [html_block(block) for block in result.closing]
     sections = [_MOVIE] if result.movie else []
     sections += [_MOTION, _WORST, *(b.text for b in result.closing if isinstance(b, Heading) and b.level == 2)]
@@ -200,7 +201,8 @@ def _worst_table(labels: Sequence[str], worst: Sequence[Sequence[WorstCell]], di
             )
     caption = "Cells by their largest |V/V₀ − 1|; cells are counted from 0, as in the files."
     return (
-        f'<div class="wide"><table id="worst"><caption>{caption}</caption><thead><tr>{cells}</tr></thead>\n'
+        f'<div class="wide" tabindex="0"><table id="worst"><caption>{caption}</caption>'
+        f"<thead><tr>{cells}</tr></thead>\n"
         f"<tbody>\n{chr(10).join(rows)}\n</tbody></table></div>"
     )
 
@@ -215,6 +217,7 @@ def _scripts(data: Mapping[str, Any], shown: Solids | None) -> str:
     parts = [f'<script type="application/json" id="data">{text}</script>']
     if shown is not None:
         parts.append(f'<script type="text/plain" id="viewer">{shown.program}</script>')
+        parts.append(f'<script type="text/plain" id="licences">{shown.licences.replace("</", "")}</script>')
         parts += [f'<script type="text/plain" id="scene-{i}">{s}</script>' for i, s in enumerate(shown.scenes)]
     names = ["clock.js", "curves.js", *(["solids.js"] if shown else [])]
     return "\n".join([*parts, *(f"<script>{_asset(name)}</script>" for name in names)])

@@ -23,13 +23,17 @@
     return made;
   }
 
-  // one camera for all, looking at the whole motion; k3d wants [position, target, up]
+  // one camera for all, looking at the whole motion of those shown; k3d wants [position, target, up]
   function firstCamera(width, height) {
-    const { toward, right, up, low, high, centre } = meta.camera;
+    const shown = panels.filter((panel) => !panel.figure.hidden).map((panel) => panel.body);
+    const low = [0, 1, 2].map((i) => Math.min(...shown.map((body) => body.low[i])));
+    const high = [0, 1, 2].map((i) => Math.max(...shown.map((body) => body.high[i])));
+    const axes = [meta.camera.right, meta.camera.up, meta.camera.toward];
+    const centre = [0, 1, 2].map((j) => axes.reduce((sum, axis, i) => sum + (axis[j] * (low[i] + high[i])) / 2, 0));
     const half = Math.tan((10 * Math.PI) / 180); // of the angle of view, 20 degrees upright
     const [across, upward, deep] = [0, 1, 2].map((i) => (high[i] - low[i]) / 2);
     const far = Math.max(upward / half, across / (half * (width / height))) / 0.9 + deep;
-    return [...centre.map((c, i) => c + far * toward[i]), ...centre, ...up];
+    return [...centre.map((c, j) => c + far * axes[2][j]), ...centre, ...axes[1]];
   }
 
   class Panel {
@@ -158,6 +162,7 @@
       panel.figure.hidden = !box.checked;
       if (box.checked && !panel.k3d) await panel.open(lib);
     }
+    panels.forEach((panel) => panel.k3d && !panel.figure.hidden && panel.reset());
     home.style.setProperty("--columns", Math.min(4, Math.max(1, panels.filter((p) => p.k3d && !p.figure.hidden).length)));
   }
 

@@ -9,6 +9,7 @@ import re
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.metadata import distribution
 from importlib.resources import files
 from itertools import count
 from typing import Any
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from pipeline.mesh.simplex import Floats, Ints
 from pipeline.series import Series
-from pipeline.views.camera import fit_camera
+from pipeline.views.camera import Camera, fit_camera
 from pipeline.views.motion import Track, colour_radius, drawn_points, read_track, sharp_edges, surface
 from pipeline.views.scene import INVERTED, Palette
 from pipeline.views.web.curves import numbers
@@ -33,9 +34,10 @@ _OUTLINE = 0x8F949F
 
 @dataclass(frozen=True)
 class Solids:
-    """The viewer's program and a scene a body, packed, and `meta` for JSON; notes say which frames are there."""
+    """The viewer's program and a scene a body, packed; `meta` for JSON; notes say which frames are there."""
 
     program: str
+    licences: str  # of the program, which have to travel with it
     scenes: tuple[str, ...]
     meta: dict[str, Any]
     notes: tuple[str, ...]
@@ -72,8 +74,8 @@ def solids(
     radius, camera = colour_radius(tracks), fit_camera(tracks)
     palette = Palette(radius)
     meta = {
-        "bodies": [{"label": t.label, "times": numbers(t.times, digits=9)} for t in tracks],
-        "camera": {name: numbers(getattr(camera, name)) for name in ("toward", "right", "up", "low", "high", "centre")},
+        "bodies": [_body(track, camera) for track in tracks],
+        "camera": {name: numbers(getattr(camera, name)) for name in ("right", "up", "toward")},
         "radius": radius,
         "below": bool(min(float(np.nanmin(t.low)) for t in tracks) < 1 - radius),
         "above": bool(max(float(np.nanmax(t.high)) for t in tracks) > 1 + radius),
@@ -84,7 +86,14 @@ def solids(
     points = np.concatenate([drawn_points(track) for track in tracks])
     bounds = (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())
     scenes = tuple(_scene(track, palette, camera.toward, bounds) for track in tracks)
-    return Solids(_program(), scenes, meta, tuple(notes))
+    return Solids(_program(), _licences(), scenes, meta, tuple(notes))
+
+
+def _body(track: Track, camera: Camera) -> dict[str, Any]:
+    """Return a body's name, the times of its frames, and its bounds along the camera's right, up and toward."""
+    seen = drawn_points(track) @ np.stack([camera.right, camera.up, camera.toward]).T
+    bounds = {"low": numbers(seen.min(axis=0)), "high": numbers(seen.max(axis=0))}
+    return {"label": track.label, "times": numbers(track.times, digits=9), **bounds}
 
 
 def _frames_each(series: Sequence[Series]) -> int:
@@ -120,11 +129,11 @@ def _scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[float, 
         grid_visible=False, menu_visibility=False, camera_auto_fit=False, axes_helper=0,
         grid_auto_fit=False, grid=bounds,  # what the viewer reckons from how far it has to see
         colorbar_object_id=0, time_interpolation=False, camera_fov=20.0,
-        lighting=1.9,  # a face toward the viewer then has the colour of the bar
+        lighting=1.5 if track.dimension == 3 else 1.15,  # faces that look at the viewer have the colours of the bar
     )  # fmt: skip
     plot += k3d.mesh(points, faces, triangles_attribute=colours, name="body", **look)
     if len(faces) <= MOST_EDGES:
-        plot += k3d.mesh(points, faces, color=0x21262F, wireframe=True, opacity=0.35, name="edges")
+        plot += k3d.mesh(points, faces, color=0x21262F, wireframe=True, opacity=0.25, name="edges")
     crease, contour = sharp_edges(track.rest, track.faces, toward)
     edges: Ints = np.concatenate([crease, contour])
     plot += k3d.lines(
@@ -160,3 +169,11 @@ def _program() -> str:
     program = re.sub(rb"data:font/woff2;base64,[A-Za-z0-9+/=]+", b"data:,", program)
     program = re.sub(rb',url\(fonts/[^)]*\) format\("\w+"\)', b"", program)
     return base64.b64encode(zlib.compress(program, 9)).decode("ascii")
+
+
+def _licences() -> str:
+    """Return the licences of k3d and of what is inside its viewer."""
+    own = [
+        path.read_text() for path in distribution("k3d").files or () if path.parts[-2:] == ("licenses", "LICENSE.txt")
+    ]
+    return "\n".join([*own, files("k3d").joinpath("static/standalone.js.LICENSE.txt").read_text(encoding="utf-8")])
