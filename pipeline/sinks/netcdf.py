@@ -96,14 +96,14 @@ def _created(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
     for name in measured:
         variable = VARIABLES[name]
         if variable.dims == ("step",):
-            made[name] = out.createVariable(name, "f8", ("step",), chunksizes=(_SCALAR_CHUNK,))
+            made[name] = out.createVariable(name, "f8", ("step",), chunksizes=(_CHUNK,))
             continue
         lengths = [sizes[dim] or 1 for dim in variable.dims]
         frames = _CELLS_CHUNK // len(mesh.cells) if "cell" in variable.dims else _CHUNK
         chunks = (min(max(frames, 1), _CHUNK), *lengths)
         made[name] = out.createVariable(name, "f8", ("time", *variable.dims), chunksizes=chunks)
     if "step" in sizes:
-        made["step"] = out.createVariable("step", "i8", ("step",), chunksizes=(_SCALAR_CHUNK,))
+        made["step"] = out.createVariable("step", "i8", ("step",), chunksizes=(_CHUNK,))
     for name, one in made.items():
         one.setncatts(attributes(name, mesh.dimension))
     made["time"].axis = "T"
