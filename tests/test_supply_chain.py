@@ -18,9 +18,7 @@ from tests.test_resume import assert_same_results
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-WORDS = {"ISC": "ISC", "MIT": "MIT", "BSD": "BSD", "Apache": "Apache", "MPL": "MPL|Mozilla"} | {
-    "PSF": "PSF|Python Software Foundation"
-}
+WORDS = {
     "ISC": "ISC",
     "MIT": "MIT",
     "BSD": "BSD",
