@@ -3,14 +3,16 @@ PYTHON ?= python3
 WORKERS ?= 2
 BIN := .venv/bin
 OPENGL_PACKAGES := libegl1 libgl1-mesa-dri
+BROWSER_PACKAGES := chromium
+BROWSERS := chromium chromium-browser google-chrome google-chrome-stable
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run report bench test quick fuzz lint clean
+.PHONY: help setup run report bench test test-web browser quick fuzz lint clean
 
 help: ## Show this list
 	@echo "usage: make TARGET [PYTHON=python3.12] [WORKERS=4]"
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: .venv/installed ## Create .venv, install everything into it; as root on Debian or Ubuntu the OpenGL libraries too
 	@if $(BIN)/python -m pipeline.opengl; then exit 0; fi; \
@@ -24,8 +26,9 @@ setup: .venv/installed ## Create .venv, install everything into it; as root on D
 		echo "going on without pictures and movies; to have them on Debian or Ubuntu: sudo $$line"; \
 	fi
 
-run: setup ## Run the example: cases/bar.toml -> outputs/bar (solved anew each time)
+run: setup ## Run the example: cases/bar.toml -> outputs/bar with its report.html (solved anew each time)
 	$(BIN)/pipeline run cases/bar.toml --force
+	$(BIN)/pipeline report outputs/bar
 
 report: setup ## Every scene in full, from nothing -> outputs/reproduction.html and .md: what of the seeds holds
 	OMP_NUM_THREADS=1 $(BIN)/pipeline reproduce --force
@@ -34,8 +37,24 @@ report: setup ## Every scene in full, from nothing -> outputs/reproduction.html 
 bench: setup ## What a step costs beside plain scipy, in one run; minutes
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.steps --large
 
-test: setup lint ## Everything that CI runs: lint, then all tests
+test: setup browser lint ## Everything that CI runs: lint, then all tests
 	$(PYTEST)
+
+test-web: setup browser ## The tests of the web page in a browser alone
+	$(PYTEST) -m browser
+
+browser: ## As root on Debian: Chromium, which the tests of the web page drive
+	@for name in $(BROWSERS); do command -v $$name >/dev/null && exit 0; done; \
+	line="apt-get install -y --no-install-recommends $(BROWSER_PACKAGES)"; \
+	if [ "$$PIPELINE_SKIP_BROWSER" = 1 ]; then \
+		echo "PIPELINE_SKIP_BROWSER=1: no browser is installed, the web page is NOT tested in one"; \
+	elif [ "$$(id -u)" = 0 ] && [ -e /etc/debian_version ] && command -v apt-get >/dev/null; then \
+		echo "installing a browser for the tests: apt-get update && $$line"; \
+		export DEBIAN_FRONTEND=noninteractive; \
+		apt-get update -qq && $$line -qq >/dev/null || echo "Chromium could not be installed"; \
+	else \
+		echo "no browser: the tests of the web page will fail; on Debian: sudo $$line (or PIPELINE_SKIP_BROWSER=1)"; \
+	fi
 
 quick: setup ## The tests that take no more than a few seconds each
 	$(PYTEST) -m "not slow"

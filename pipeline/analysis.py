@@ -308,14 +308,7 @@ def _movie(
         kept = np.unique(np.linspace(0, len(one) - 1, min(len(one), _DRAWN_FRAMES)).round().astype(int)).tolist()
         if len(kept) < len(one):
             notes.append(f"{path.name} shows {len(kept)} of the {len(one)} frames of {one.name}")
-        shown.append(
-            replace(
-                one,
-                files=tuple(one.files[i] for i in kept),
-                times=tuple(one.times[i] for i in kept),
-                steps=tuple(one.steps[i] for i in kept) if one.steps else (),
-            )
-        )
+        shown.append(one.chosen(kept))
     span = max(one.times[-1] for one in shown) - min(one.times[0] for one in shown)
     poster = path.with_suffix(".png")
     write_movie(

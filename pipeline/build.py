@@ -36,9 +36,10 @@ class Problem:
         return STEPPERS[self.method.stepper](self.body, self.dt, self.method)
 
 
-def build(case: Case) -> Problem:
+def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
     """Return the problem that a resolved case (or one with a single variant) describes.
 
+    A mesh that is given takes the place of the case's own.
     Raises CaseError where a name is unknown, a vector has the wrong length, a selection is empty or everything is
     held, and MeshError where the mesh cannot be simulated.
     """
@@ -49,7 +50,7 @@ def build(case: Case) -> Problem:
     case = settled(case)
     _check_method(case)
     mesh_notes: list[str] = []
-    mesh = build_mesh(case, note=mesh_notes.append)
+    mesh = build_mesh(case, note=mesh_notes.append) if mesh is None else mesh
     m = case.material
     material = Material(m.youngs_modulus, m.poisson_ratio, m.density)
     auto = case.method.model == "auto"
@@ -97,7 +98,7 @@ def _check_method(case: Case) -> None:
         "law": LAWS,
         "rotation": ROTATIONS,
         "stepper": STEPPERS,
-        "linear_solver": LINEAR_SOLVERS,
+        "linear_solver": {"auto": None, **LINEAR_SOLVERS},
         "mass": MASSES,
         "inversion": INVERSIONS,
     }

@@ -11,6 +11,7 @@ from pipeline.disk import check_room
 from pipeline.errors import CaseError, SolveError
 from pipeline.record_keeping import Interrupted, folder_lock, interruptible, mesh_digest
 from pipeline.sinks.atomic import write_whole
+from pipeline.sinks.formats import ensure_format
 from pipeline.variant_run import (
     UNFINISHED,
     Notify,
@@ -59,6 +60,8 @@ def run_campaign(
     resolved = {name: settled(case.variant(name)) for name in variants or case.variant_names}
     folder = Path(out) / case.name
     problems = {name: build(one) for name, one in resolved.items()}
+    for one in resolved.values():
+        ensure_format(one.output.format)
     with folder_lock(folder), interruptible() as asked:
         todo = [
             name

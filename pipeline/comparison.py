@@ -9,6 +9,7 @@ from pipeline.build import settled
 from pipeline.case import Case, load_case
 from pipeline.errors import OutputError
 from pipeline.series import read_series
+from pipeline.sinks.formats import FORMATS
 from pipeline.statistics import joined, read_statistics, write_dataset
 from pipeline.variant_run import UNFINISHED, determining, read_run
 
@@ -24,7 +25,7 @@ def compare(
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> tuple[list[Path], list[str]]:
     """Join and draw every variant in the folder that is a result of this case; return the files made and notes."""
-    usable = [name for name, run in _recorded(case, folder).items() if run["status"] not in UNFINISHED]
+    usable = [name for name, run in recorded(case, folder).items() if run["status"] not in UNFINISHED]
     if not usable:
         return [], ["no variant left a frame: nothing to compare"]
     paths = {n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png")}
@@ -33,13 +34,17 @@ def compare(
     for stale in _DRAWN:
         paths[stale].unlink(missing_ok=True)
     title = case.movie.title or case.name.replace("_", " ")
-    dataset, notes = joined({name: read_statistics(folder / name / "statistics.nc") for name in usable}, title=title)
+    statistics = {name: read_statistics(folder / name / "statistics.nc") for name in usable}
+    dataset, notes = joined(statistics, title=title)
     write_dataset(dataset, paths["comparison.nc"])
-    from pipeline.views.plots import energy_figure, volume_figure
+    from pipeline.views.plots import effort_figure, energy_figure, volume_figure
 
     volume_figure(dataset, paths["volume.png"], title=title)
     energy_figure(dataset, paths["energy.png"], title=title)
     made = [paths["comparison.nc"], paths["volume.png"], paths["energy.png"]]
+    if chosen := {name: one for name, one in statistics.items() if one.sizes.get("step")}:
+        effort_figure(chosen, folder / "effort.png", title="The model that each step needed")
+        made.append(folder / "effort.png")
     shown = [name for name in case.movie.variants if name in usable]
     if movie and shown:
         try:
@@ -71,23 +76,44 @@ def draw_movie(
     return path
 
 
-def _recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
+def recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
     """Return run.json of every variant that has frames of this very case, by name."""
     runs = {name: read_run(folder / name) for name in case.variant_names}
     return {
-        name: run
-        for name, run in runs.items()
-        # a killed run has not said how many there are
-        if (run.get("frames") or (folder / name / "series.pvd").is_file())
-        and run.get("case") == determining(settled(case.variant(name)))
+        name: run for name, run in runs.items() if _has_frames(run, folder / name) and _is_of(run, case, folder / name)
     }
+
+
+def _has_frames(run: dict[str, Any], folder: Path) -> bool:
+    """Return whether there is a frame; a killed run has not said how many."""
+    return bool(run) and (bool(run.get("frames")) or any((folder / one.index).is_file() for one in FORMATS.values()))
+
+
+def _is_of(run: dict[str, Any], case: Case, folder: Path) -> bool:
+    """Return whether a variant's run is one of this case, which may be that in the result folder.
+
+    A mesh file is named relative to its case file, so from elsewhere by another text: the variant's own case.toml
+    tells which file it is.
+    """
+    wanted = determining(settled(case.variant(folder.name)))
+    if run["case"] == wanted:
+        return True
+    kept = folder / "case.toml"
+    if case.mesh_path is None or not kept.is_file():
+        return False
+    same = load_case(kept).mesh_path
+    return (
+        same is not None
+        and same.resolve() == case.mesh_path.resolve()
+        and run["case"] | {"mesh": run["case"]["mesh"] | {"file": wanted["mesh"]["file"]}} == wanted
+    )
 
 
 def movie_of_folder(folder: Path, *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
     """Draw the movie of a result folder again, from its frames alone; raises PipelineError where it is not one."""
     case = load_case(folder / "case.toml")
-    recorded = _recorded(case, folder)
-    shown = [name for name in case.movie.variants if name in recorded]
+    runs = recorded(case, folder)
+    shown = [name for name in case.movie.variants if name in runs]
     if not shown:
         raise OutputError(f"{folder}: none of {', '.join(case.movie.variants)} has a recorded frame of this case")
     return draw_movie(case, folder, shown, on_drawing=on_drawing)

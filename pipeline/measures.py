@@ -41,7 +41,10 @@ VARIABLES: Mapping[str, Variable] = {
     "angular_momentum": Variable(("axis",), "kg m2 s-1", "angular momentum about the origin"),
     "newton_iterations": Variable((), "1", "linear systems solved since the frame before"),
     "rung": Variable((), "1", "highest model since the frame before: 0 linear, 1 corotational, 2 converged"),
-    "indicator": Variable((), "1", "largest spurious volume of a step since the frame before"),
+    "indicator": Variable((), "1", "what the spurious volume of no step since the frame before exceeds"),
+    "step_rung": Variable(("step",), "1", "model that the step needed: 0 linear, 1 corotational, 2 converged"),
+    "step_solves": Variable(("step",), "1", "linear systems solved in the step"),
+    "step_indicator": Variable(("step",), "1", "what the spurious volume of the step does not exceed"),
 }
 # what does not change from frame to frame, and the coordinates
 FIXED: Mapping[str, Variable] = {
@@ -49,6 +52,7 @@ FIXED: Mapping[str, Variable] = {
     "rest_volume": Variable(("cell",), "m3", "rest volume of the cell"),
     "quantile": Variable(("quantile",), "1", "quantile of cells"),
     "axis": Variable(("axis",), "1", "axis of space"),
+    "step": Variable((), "1", "number of the time step, from 1 on"),
 }
 AXES = ("x", "y", "z")
 # in the plane a volume is an area and an energy is per metre of thickness

@@ -6,6 +6,8 @@ A new law, rotation, stepper, linear solver or shape is one file and one row her
 from collections.abc import Callable, Mapping, Sequence
 from typing import cast
 
+import numpy as np
+
 from pipeline.case import MethodSpec
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Corotational, Law, Linear, Tangent
@@ -17,15 +19,17 @@ from pipeline.mesh.simplex import Floats, Mesh
 from pipeline.stepping.backward_euler import BackwardEuler
 from pipeline.stepping.banded import BandedCholesky
 from pipeline.stepping.bdf2 import BDF2
+from pipeline.stepping.conjugate_gradients import block_jacobi_cg
 from pipeline.stepping.fidelity import Auto
 from pipeline.stepping.guard import Guarded
 from pipeline.stepping.implicit import FrozenPasses, Prefactored, StageSolver
 from pipeline.stepping.inversion import Crossing, Last, Treatment
-from pipeline.stepping.linear_solve import BlockJacobiCG, LinearSolver, SuperLU, automatic
+from pipeline.stepping.linear_solve import LinearSolver, SuperLU, choice
 from pipeline.stepping.newton import Converged, NewtonLimits
+from pipeline.stepping.pardiso import Pardiso
 from pipeline.stepping.state import Stepper
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
-from pipeline.stepping.warped import WarpedCG
+from pipeline.stepping.warped import warped_cg
 
 Rotation = Callable[[Floats], Floats]
 
@@ -39,11 +43,11 @@ MASSES: Mapping[str, Callable[[Mesh, float], Floats]] = {
     "lumped": lumped_mass_pairs,
 }
 LINEAR_SOLVERS: Mapping[str, Callable[..., LinearSolver]] = {
-    "auto": automatic,
     "banded": BandedCholesky,
     "superlu": SuperLU,
-    "warped": WarpedCG,
-    "cg": BlockJacobiCG,
+    "pardiso": Pardiso,
+    "warped": warped_cg,
+    "cg": block_jacobi_cg,
 }
 SHAPES: Mapping[str, Callable[[Sequence[float], Sequence[int], str], Mesh]] = {"box": box, "rectangle": rectangle}
 # None: what the law's own rotation does
@@ -77,39 +81,49 @@ STEP_LIMITS: Mapping[str, tuple[Callable[[Body], float], Callable[[Body], float]
 
 def stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     """Return what solves the implicit stages of size h [s]: as far as the method's law and iterations ask."""
-    pattern, _ = body.free_pattern
-    made = LINEAR_SOLVERS[method.linear_solver]
     if body.law.constant_tangent:
-        return Prefactored(body, made(pattern, method.linear_rtol, None), h)
+        return Prefactored(body, _linear_solver(body, h, method, constant=True), h)
+    solver = _linear_solver(body, h, method, constant=False)
+    limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
     if method.model == "auto":
-        return _auto(body, h, method)
-    solver = made(pattern, method.linear_rtol, _rest_system(body, h))
+        # the linear rung keeps its factor, so it has a solver of its own
+        linear = Body(body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs)
+        prefactored = Prefactored(linear, _linear_solver(body, h, method, constant=True), h)
+        newton = Converged(body, solver, limits)
+        return Auto(body, prefactored, FrozenPasses(body, solver, 1), newton, method.volume_tolerance)
     if isinstance(method.iterations, int):
         return FrozenPasses(body, solver, method.iterations)
-    limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
     return Converged(body, solver, limits)
+
+
+def linear_solvers(body: Body, h: float, method: MethodSpec) -> list[dict[str, str]]:
+    """Return name and reason of the linear solvers that a method uses on a body: none, one, or two for "auto"."""
+    if method.stepper in STEP_LIMITS:
+        return []
+    if method.linear_solver != "auto":
+        return [{"name": method.linear_solver, "reason": "the case names it"}]
+    kinds = [True, False] if method.model == "auto" else [body.law.constant_tangent]
+    return [dict(zip(("name", "reason"), _choice(body, h, constant=one), strict=True)) for one in kinds]
+
+
+def _linear_solver(body: Body, h: float, method: MethodSpec, *, constant: bool) -> LinearSolver:
+    name = method.linear_solver if method.linear_solver != "auto" else _choice(body, h, constant=constant)[0]
+    return LINEAR_SOLVERS[name](body.free_pattern, method.linear_rtol, None if constant else _rest_system(body, h))
+
+
+def _choice(body: Body, h: float, *, constant: bool) -> tuple[str, str]:
+    return choice(body.free_pattern, constant=constant, stiffness=h * body.frequency_bound)
 
 
 def _rest_system(body: Body, h: float) -> Callable[[], Floats]:
     """Return what gives the values of M + h^2 K at rest on the free nodes, when asked."""
-    _, free_blocks = body.free_pattern
-    return lambda: (body.mass + h**2 * body.linearise(body.mesh.points)[1])[free_blocks]
 
+    def values() -> Floats:
+        A = np.empty_like(body.mass)
+        body.system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
+        return A[: body.free_pattern.blocks]
 
-def _auto(body: Body, h: float, method: MethodSpec) -> StageSolver:
-    """Return the ladder of all three; the linear rung keeps its factor, so it has a solver of its own."""
-    pattern, _ = body.free_pattern
-    made = LINEAR_SOLVERS[method.linear_solver]
-    limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
-    linear = Body(body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs)
-    changing = made(pattern, method.linear_rtol, _rest_system(body, h))
-    return Auto(
-        body,
-        Prefactored(linear, made(pattern, method.linear_rtol, None), h),
-        FrozenPasses(body, changing, 1),
-        Converged(body, changing, limits),
-        method.volume_tolerance,
-    )
+    return values
 
 
 def _treatment(method: MethodSpec) -> Treatment | None:
@@ -165,6 +179,7 @@ DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
         "warped": "conjugate gradients with the rest state's factor turned along, to method.linear_rtol; larger meshes",
         "banded": "Cholesky of the band, factors every new matrix; fastest on small meshes",
         "superlu": "sparse direct, factors every new matrix",
+        "pardiso": "sparse direct by Intel MKL (the `fast` extra), factors every new matrix; positive definite ones",
         "cg": "conjugate gradients with block Jacobi to method.linear_rtol: for small steps",
     },
     "mesh.split": {

@@ -5,19 +5,24 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pipeline.build import Problem
+from pipeline.case import OutputSpec
 from pipeline.errors import CaseError, OutputError, SeriesError
-from pipeline.measures import measure
+from pipeline.foreign.grids import Grid
+from pipeline.measures import VARIABLES, measure
 from pipeline.mesh.simplex import Mesh
 from pipeline.series import Series
 from pipeline.sinks.atomic import whole_file
 from pipeline.sinks.checkpoint import Checkpoint, CheckpointFolder
+from pipeline.sinks.formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
 
 CHECKPOINTS = "checkpoints"
@@ -131,10 +136,13 @@ def mesh_digest(mesh: Mesh) -> str:
     return sha256(mesh.points.tobytes() + mesh.cells.tobytes()).hexdigest()
 
 
-def continuation(folder: Path, problem: Problem, *, title: str) -> tuple[Checkpoint | None, list[str]]:
+def continuation(
+    folder: Path, problem: Problem, output: OutputSpec, *, title: str
+) -> tuple[Checkpoint | None, list[str]]:
     """Return the last checkpoint whose frames are all there, and notes; None where there is no such one.
 
-    statistics.nc is made anew from the frames before the checkpoint: a killed run may have left it torn.
+    statistics.nc is made anew from the frames before the checkpoint: a killed run may have left it torn. Where the
+    frames are rounded, the values of cells are those of the old file, each held against the frame.
     """
     for hidden in folder.rglob(".*.tmp*"):
         hidden.unlink(missing_ok=True)
@@ -144,7 +152,7 @@ def continuation(folder: Path, problem: Problem, *, title: str) -> tuple[Checkpo
             notes.append(found)
             continue
         try:
-            _remake_statistics(folder, problem, next_frame(found, problem), title)
+            _remake_statistics(folder, problem, output, next_frame(found, problem), title)
         except SeriesError as error:
             notes.append(f"the checkpoint of step {found.state.step} cannot be used ({error})")
         else:
@@ -162,18 +170,48 @@ def frame_times(count: int, problem: Problem) -> list[float]:
     return [index * problem.steps_per_frame * problem.dt for index in range(count)]
 
 
-def _remake_statistics(folder: Path, problem: Problem, count: int, title: str) -> None:
+def _remake_statistics(folder: Path, problem: Problem, output: OutputSpec, count: int, title: str) -> None:
     """Write statistics.nc of the first `count` frames from their files; raises SeriesError, OutputError."""
-    files = tuple(folder / f"frames/frame_{index:06d}.vtu" for index in range(count))
+    places = [FORMATS[output.format].place(index) for index in range(count)]
+    files = tuple(folder / name for name, _ in places)
     for file in files:
         if not file.is_file():
             raise SeriesError(f"{file}: missing")
-    series = Series(title, folder, files, tuple(frame_times(count, problem)), ours=True)
-    with whole_file(folder / "statistics.nc") as hidden:
-        sink = NetcdfSink(hidden, title=title)
-        try:
-            for read in series:
-                frame = replace(read, mesh=problem.body.mesh)
-                sink.write(frame, measure(frame))
-        finally:
-            sink.close()
+    times, steps = tuple(frame_times(count, problem)), tuple(step for _, step in places)
+    series = Series(title, folder, files, times, steps, ours=True)
+    path = folder / "statistics.nc"
+    rounded = output.precision == "float32"
+    with ExitStack() as stack:
+        old = stack.enter_context(_old_statistics(path, count)) if rounded else None
+        sink = NetcdfSink(stack.enter_context(whole_file(path)), title=title)
+        stack.callback(sink.close)
+        for index in range(count):
+            grid = series.grid(index)
+            read = replace(series.frame(index, grid), mesh=problem.body.mesh)
+            if read.step != index * problem.steps_per_frame:
+                raise SeriesError(f"{files[index]}: frame {index} is not there")
+            sink.write(read, measure(read) if old is None else {**read.known, **_cell_rows(old, grid, index)})
+
+
+@contextmanager
+def _old_statistics(path: Path, count: int) -> Iterator[Any]:
+    """Yield the dataset of statistics.nc, its first `count` frames still there; raises SeriesError."""
+    import netCDF4
+
+    try:
+        with netCDF4.Dataset(path) as old:
+            old.set_auto_mask(False)
+            if len(old.dimensions["time"]) < count:
+                raise SeriesError(f"{path}: {len(old.dimensions['time'])} of {count} frames, and the files are rounded")
+            yield old
+    except (OSError, RuntimeError, KeyError, IndexError) as error:
+        raise SeriesError(f"{path}: cannot be read, and the files are rounded ({error})") from error
+
+
+def _cell_rows(old: Any, grid: Grid, index: int) -> dict[str, Any]:
+    """Return what a dataset says of the cells in a frame; raises SeriesError where its file says something else."""
+    rows = {name: old[name][index] for name, variable in VARIABLES.items() if variable.dims == ("cell",)}
+    for name, row in rows.items():
+        if not np.array_equal(row.astype(np.float32), grid.cell_data[name]):
+            raise SeriesError(f"statistics.nc: {name} of frame {index} is not that of its file")
+    return rows

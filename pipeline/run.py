@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,10 @@ AfterStep = Callable[[State, Work], None]
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What a recording was: frames, work, seconds of set-up, solving and writing apart, worst volume ratio."""
+    """What a recording was: frames, work, seconds of set-up, solving and writing apart, worst volume ratio.
+
+    `writing_seconds` is measuring and writing; `wall_seconds` is all from the first frame on, without the set-up.
+    """
 
     frames: int
     steps: int
@@ -30,6 +33,7 @@ class RunSummary:
     work: Work
     setup_seconds: float
     writing_seconds: float
+    wall_seconds: float
     worst_volume_ratio: float
     worst_cell: int
     worst_time: float
@@ -58,6 +62,8 @@ def frames(
         work = Work()
     while state.step < problem.frames * problem.steps_per_frame:
         state, done = _timed_step(stepper, state)
+        if problem.method.model == "auto":
+            done = replace(done, history=((done.rung, done.solves, done.indicator),))
         work += done
         if after_step is not None:
             after_step(state, work)
@@ -97,9 +103,14 @@ def _frame(problem: Problem, state: State, work: Work) -> Frame:
 def _effort(problem: Problem, work: Work) -> dict[str, Floats]:
     """Return what the steps since the frame before took, by the names of measures.VARIABLES."""
     effort = {"newton_iterations": np.asarray(float(work.iterations))}
-    if problem.method.model == "auto":
-        effort |= {"rung": np.asarray(float(work.rung)), "indicator": np.asarray(work.indicator)}
-    return effort
+    if problem.method.model != "auto":
+        return effort
+    # as many numbers in every frame: none of the steps before the first one has happened
+    steps = np.full((problem.steps_per_frame, 3), np.nan)
+    steps[len(steps) - len(work.history) :] = np.reshape(work.history, (-1, 3))
+    names = ("step_rung", "step_solves", "step_indicator")
+    whole = {"rung": np.asarray(float(work.rung)), "indicator": np.asarray(work.indicator)}
+    return effort | whole | dict(zip(names, steps.T.copy(), strict=True))
 
 
 def dynamics(body: Body, state: State) -> dict[str, Floats]:
@@ -130,19 +141,26 @@ def record(
     `on_frame` is called after each frame with the frame, its measures and the summary so far. `before` is the summary
     of the frames that a resumed run has written already; the set-up of the first start stays the one told.
     """
-    summary = before or RunSummary(0, 0, 0.0, Work(), 0.0, 0.0, 1.0, 0, 0.0)
+    summary = before or RunSummary(0, 0, 0.0, Work(), 0.0, 0.0, 0.0, 1.0, 0, 0.0)
+    earlier, start = summary.wall_seconds, 0.0
     try:
         for frame in source:
             began = time.perf_counter()
+            start = start or began
             measured = measure(frame)
             for sink in sinks:
                 sink.write(frame, measured)
-            summary = _continued(summary, frame, measured, time.perf_counter() - began)
+            ended = time.perf_counter()
+            summary = _continued(summary, frame, measured, ended - began)
+            summary = replace(summary, wall_seconds=earlier + ended - start)
             if on_frame is not None:
                 on_frame(frame, measured, summary)
     finally:
+        closing = time.perf_counter()
         _close(sinks)
-    return summary
+    spent = time.perf_counter() - closing
+    writing, wall = summary.writing_seconds + spent, summary.wall_seconds + spent
+    return replace(summary, writing_seconds=writing, wall_seconds=wall)
 
 
 def _close(sinks: Sequence[Sink]) -> None:
@@ -163,11 +181,12 @@ def _continued(summary: RunSummary, frame: Frame, measured: Values, writing: flo
     worse = abs(ratio[cell] - 1) > abs(summary.worst_volume_ratio - 1)
     work = frame.work or Work()
     setup = work.seconds if not summary.frames else summary.setup_seconds
-    return RunSummary(
+    return replace(
+        summary,
         frames=summary.frames + 1,
         steps=frame.step or 0,
         time=frame.time,
-        work=summary.work + work if summary.frames else Work(),
+        work=replace(summary.work + work, history=()) if summary.frames else Work(),
         setup_seconds=setup,
         writing_seconds=summary.writing_seconds + writing,
         worst_volume_ratio=float(ratio[cell]) if worse else summary.worst_volume_ratio,

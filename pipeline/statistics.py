@@ -24,7 +24,7 @@ def series_statistics(series: Series) -> "xarray.Dataset":
 
     mesh = series.mesh
     rows = [measure(frame) for frame in series]
-    names = [name for name in VARIABLES if all(name in row for row in rows)]
+    names = [n for n, v in VARIABLES.items() if v.dims != ("step",) and all(n in row for row in rows)]
     d = mesh.dimension
     data = {
         name: (("time", *VARIABLES[name].dims), np.stack([row[name] for row in rows]), attributes(name, d))
@@ -71,12 +71,13 @@ def joined(datasets: Mapping[str, "xarray.Dataset"], *, title: str) -> tuple["xa
     rest = reference["rest_volume"]
     methods = xarray.Variable("method", np.array(list(kept), dtype=object), {"long_name": "variant of the case"})
     out = xarray.concat(
-        [dataset.drop_vars("rest_volume") for dataset in kept.values()],
+        [dataset.drop_vars("rest_volume").drop_dims("step", errors="ignore") for dataset in kept.values()],
         dim=methods,
         join="exact",
         combine_attrs="drop_conflicts",
     )
     out["rest_volume"] = rest
+    out.encoding["unlimited_dims"] = {"time"}
     out.attrs = {"Conventions": "CF-1.11", "title": title}
     return out, notes
 

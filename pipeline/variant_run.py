@@ -6,7 +6,7 @@ import platform
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +17,8 @@ from pipeline.case import Case
 from pipeline.errors import OutputError, SolveError
 from pipeline.failure import FILE as FAILURE
 from pipeline.failure import examined
-from pipeline.frame import Frame, Sink, Values
+from pipeline.frame import Frame, Values
+from pipeline.methods import linear_solvers
 from pipeline.record_keeping import (
     CHECKPOINTS,
     Interrupted,
@@ -30,8 +31,9 @@ from pipeline.record_keeping import (
 from pipeline.run import RunSummary, frames, record
 from pipeline.sinks.atomic import write_whole
 from pipeline.sinks.checkpoint import Checkpoint, CheckpointFolder
+from pipeline.sinks.formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
-from pipeline.sinks.vtu import VtuSink
+from pipeline.sinks.overlapped import Overlapped
 from pipeline.stepping.state import State, Work
 from pipeline.version import VERSION
 
@@ -39,6 +41,8 @@ Status = Literal["finished", "failed", "up to date"]
 Notify = Callable[[str, Problem, Frame, Values, RunSummary], None]
 # of a run that could go on: killed, asked to stop, or stopped by what it could not write
 UNFINISHED = ("running", "interrupted")
+_COUNTS = ("steps", "solves", "iterations", "linear_iterations", "factorisations", "rotations")
+_ROUNDED = "output.precision = 'float32': statistics.nc cannot be made again from the frames, which are rounded"
 _PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
 
 
@@ -97,8 +101,15 @@ class VariantRun:
     ) -> None:
         self.case, self.problem, self.folder, self.asked, self.notify = case, problem, folder, asked, notify
         self.name = case.variant_name or ""
-        self.summary: RunSummary | None = None
         self.checkpoints = CheckpointFolder(folder / CHECKPOINTS, seconds=case.output.checkpoint_seconds)
+        self._recorded: RunSummary | None = None
+        self._writer = Overlapped([])
+
+    @property
+    def summary(self) -> RunSummary | None:
+        """Return what the run was so far, the writing beside the solving included; None before the first frame."""
+        seen, hidden = self._recorded, self._writer.hidden_seconds
+        return seen and replace(seen, writing_seconds=seen.writing_seconds + hidden)
 
     def result(self, *, resume: bool) -> VariantResult:
         """Return how it ended; a SolveError is a result, kept in run.json, as is an end that comes too early."""
@@ -123,12 +134,12 @@ class VariantRun:
         run = _opening(self.case, self.problem)
         began = None
         if old.get("status") in UNFINISHED:
-            began, notes = continuation(self.folder, self.problem, title=self._title)
+            began, notes = continuation(self.folder, self.problem, self.case.output, title=self._title)
             run["notes"] += notes + _other_packages(old, run)
         if began is None:
             _clear(self.folder)
         else:
-            self.summary = began.summary
+            self._recorded = began.summary
             run["resumed_after_steps"] = [*old.get("resumed_after_steps", ()), began.state.step]
         write_whole(self.folder / "case.toml", self.case.to_toml(self.folder))
         write_whole(self.folder / "run.json", _json(run))
@@ -136,10 +147,13 @@ class VariantRun:
 
     def _record(self, began: Checkpoint | None) -> None:
         written = next_frame(began, self.problem) if began else 0
-        sinks: list[Sink] = [
-            VtuSink(self.folder, earlier=frame_times(written, self.problem)),
-            NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
-        ]
+        output, times = self.case.output, frame_times(written, self.problem)
+        self._writer = Overlapped(
+            [
+                FORMATS[output.format].sink(self.folder, times, output.precision, self.problem.frames + 1),
+                NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
+            ]
+        )
         start, begun = (began.state, began.work) if began else (None, None)
         self._last = start or self.problem.start
         self.asked.solving = True
@@ -147,7 +161,7 @@ class VariantRun:
             # small dense factors gain nothing from BLAS threads, and stall where cores are shared
             with threadpool_limits(limits=1, user_api="blas"):
                 source = frames(self.problem, start, begun=begun, after_step=self._after_step)
-                record(source, sinks, on_frame=self._on_frame, before=self.summary)
+                self._recorded = record(source, [self._writer], on_frame=self._on_frame, before=self._recorded)
         finally:
             self.asked.solving = False
 
@@ -162,17 +176,18 @@ class VariantRun:
         return {"message": message, "failure": found.record()}
 
     def _on_frame(self, frame: Frame, measured: Values, summary: RunSummary) -> None:
-        self.summary = summary
+        self._recorded = summary
         if self.notify is not None:
-            self.notify(self.name, self.problem, frame, measured, summary)
+            self.notify(self.name, self.problem, frame, measured, self.summary or summary)
 
     def _after_step(self, state: State, work: Work) -> None:
         """Write a checkpoint where one is due; raises Interrupted where an end was asked for."""
         self._last = state
         frames = self.case.output.checkpoint_frames
         due = self.checkpoints.due() or (frames and state.step % (frames * self.problem.steps_per_frame) == 0)
-        if self.summary is not None and (self.asked.requested or due):
-            self.checkpoints.write(Checkpoint(state, work, self.summary))
+        if self._recorded is not None and (self.asked.requested or due):
+            self._writer.drain()  # a checkpoint says that the frames before it are on the disk
+            self.checkpoints.write(Checkpoint(state, work, self.summary or self._recorded))
         if self.asked.requested:
             raise Interrupted(
                 f"interrupted after step {state.step} of {self.name}; the same command with --resume goes on from there"
@@ -199,7 +214,7 @@ def _clear(folder: Path) -> None:
     """Remove what an earlier run left, and nothing else."""
     try:
         # the record first: without it, what a kill leaves of the rest is cleared again and never resumed
-        for name in ("run.json", "case.toml", "series.pvd", "statistics.nc", FAILURE):
+        for name in ("run.json", "case.toml", *(one.index for one in FORMATS.values()), "statistics.nc", FAILURE):
             (folder / name).unlink(missing_ok=True)
         for name in (CHECKPOINTS, "frames"):
             shutil.rmtree(folder / name, ignore_errors=True)
@@ -215,10 +230,11 @@ def _opening(case: Case, problem: Problem) -> dict[str, Any]:
         "variant": case.variant_name,
         "status": "running",
         "case": determining(case),
-        "notes": list(problem.notes),
+        "notes": [*problem.notes, *([_ROUNDED] if case.output.precision == "float32" else [])],
         "versions": {"pipeline": VERSION, "python": platform.python_version()}
         | {package: version(package) for package in _PACKAGES},
         "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
+        "linear_solvers": linear_solvers(problem.body, problem.dt, problem.method),
         "cells": len(problem.body.mesh.cells),
         "nodes": len(problem.body.mesh.points),
         "mesh_digest": mesh_digest(problem.body.mesh),
@@ -227,7 +243,7 @@ def _opening(case: Case, problem: Problem) -> dict[str, Any]:
 
 def _closing(summary: RunSummary, problem: Problem) -> dict[str, Any]:
     per_step = summary.seconds_per_step
-    counts = {k: getattr(summary.work, k) for k in ("steps", "solves", "iterations", "factorisations", "rotations")}
+    counts = {k: getattr(summary.work, k) for k in _COUNTS}
     return {
         "frames": summary.frames,
         "last_frame": {"index": summary.frames - 1, "step": summary.steps, "time": summary.time},
@@ -241,6 +257,8 @@ def _closing(summary: RunSummary, problem: Problem) -> dict[str, Any]:
             "setup": summary.setup_seconds,
             "solving": summary.work.seconds,
             "writing": summary.writing_seconds,
+            # from the first frame on: writing overlaps solving
+            "wall": summary.wall_seconds,
         },
         "seconds_per_step": per_step if summary.work.steps else None,
         # simulated seconds a second of solving: above 1 is faster than the motion

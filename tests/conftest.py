@@ -1,6 +1,8 @@
-"""What every test gets: paths, VTK's errors as failures, OpenGL found before the first picture."""
+"""What every test gets: paths, VTK's errors as failures, OpenGL and a browser found before they are needed."""
 
 import os
+import shutil
+import tomllib
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +17,8 @@ from pipeline.opengl import ensure_opengl
 
 ROOT = Path(__file__).resolve().parent.parent
 SKIP_OPENGL = os.environ.get("PIPELINE_SKIP_OPENGL") == "1"
+SKIP_BROWSER = os.environ.get("PIPELINE_SKIP_BROWSER") == "1"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 # The same examples every time, on slow machines too: a failure seen once is seen again.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
@@ -37,6 +41,18 @@ def outputs(tmp_path: Path) -> Path:
     folder = tmp_path / "outputs"
     folder.mkdir()
     return folder
+
+
+@pytest.fixture
+def installed(tmp_path: Path, project_root: Path) -> dict[str, str]:
+    """An environment in which the entry points of pyproject.toml are those of an installed package."""
+    entry = tomllib.loads((project_root / "pyproject.toml").read_text())["project"]["entry-points"]["xarray.backends"]
+    info = tmp_path / "site" / "entry_of_this_tree-0.1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: entry-of-this-tree\nVersion: 0.1\n")
+    lines = [f"{name} = {target}" for name, target in entry.items()]
+    (info / "entry_points.txt").write_text("[xarray.backends]\n" + "\n".join(lines) + "\n")
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(info.parent), str(project_root)])}
 
 
 @pytest.fixture
@@ -78,9 +94,24 @@ def vtk_errors(_vtk_error_log: list[str]) -> Iterator[list[str]]:
         pytest.fail("VTK reported:\n" + "\n".join(_vtk_error_log), pytrace=False)
 
 
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """Path of the browser that the tests marked `browser` drive."""
+    return browser_path() or ""
+
+
+def browser_path() -> str | None:
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    if item.get_closest_marker("opengl") is None:
-        return
+    if item.get_closest_marker("opengl") is not None:
+        _need_opengl()
+    if item.get_closest_marker("browser") is not None:
+        _need_browser()
+
+
+def _need_opengl() -> None:
     if SKIP_OPENGL:
         pytest.skip("PIPELINE_SKIP_OPENGL=1: pictures are NOT tested")
     missing = None
@@ -90,3 +121,14 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         missing = f"{error}. PIPELINE_SKIP_OPENGL=1 skips these tests aloud"
     if missing:
         pytest.fail(missing, pytrace=False)
+
+
+def _need_browser() -> None:
+    if SKIP_BROWSER:
+        pytest.skip("PIPELINE_SKIP_BROWSER=1: the web page is NOT tested in a browser")
+    if browser_path() is None:
+        pytest.fail(
+            f"no browser ({', '.join(BROWSERS)}); on Debian: apt-get install -y --no-install-recommends chromium. "
+            "PIPELINE_SKIP_BROWSER=1 skips these tests aloud",
+            pytrace=False,
+        )

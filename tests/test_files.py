@@ -27,7 +27,8 @@ SCENES = {"3D": {}, "2D": PLANAR}
 ROOT = os.path.dirname(os.path.dirname(__file__))
 
 # what model = "auto" adds is not there for a fixed one
-FIXED_MODEL = VARIABLES.keys() - {"rung", "indicator"}
+AUTO = {"rung", "indicator", "step_rung", "step_solves", "step_indicator"}
+FIXED_MODEL = VARIABLES.keys() - AUTO
 
 
 def sinks(folder):

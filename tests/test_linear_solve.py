@@ -1,14 +1,20 @@
 """Every linear solver gives the same motion, and says so where a matrix is none that it can take."""
 
+import sys
+
 import numpy as np
 import pytest
 
 from pipeline import build, frames, load_case
 from pipeline.errors import SolveError
+from pipeline.fem.assembly import assemble_pattern
 from pipeline.mesh.shapes import box
-from pipeline.methods import LINEAR_SOLVERS
+from pipeline.methods import LINEAR_SOLVERS, linear_solvers
+from pipeline.stepping import linear_solve, pardiso, warped
 from pipeline.stepping.banded import Band, BandedCholesky
-from pipeline.stepping.warped import WarpedCG
+from pipeline.stepping.pardiso import Pardiso
+from pipeline.stepping.symplectic_euler import true_limit
+from pipeline.stepping.warped import warped_cg
 
 
 def path(cases_folder, solver: str, variant: str, **keys: object) -> list[np.ndarray]:
@@ -20,34 +26,85 @@ def path(cases_folder, solver: str, variant: str, **keys: object) -> list[np.nda
 
 @pytest.mark.parametrize("variant", ["linear", "gram_schmidt", "polar", "converged"])
 def test_all_solvers_give_the_same_trajectory(cases_folder, variant: str) -> None:
-    runs = {name: path(cases_folder, name, variant) for name in LINEAR_SOLVERS}
+    runs = {name: path(cases_folder, name, variant) for name in ("auto", *LINEAR_SOLVERS)}
     size = np.linalg.norm([4.0, 12.0, 4.0])
     for name, run in runs.items():
         apart = max(np.abs(a - b).max() for a, b in zip(run, runs["superlu"], strict=True))
         assert apart <= 1e-6 * size, name
 
 
-@pytest.mark.parametrize("band_megabytes", [60.0, 0.0], ids=["banded", "sparse"])
-def test_warped_takes_one_factor_for_the_whole_run(cases_folder, monkeypatch, band_megabytes: float) -> None:
-    monkeypatch.setattr("pipeline.stepping.warped._BAND_MEGABYTES", band_megabytes)
+FACTORS = ["banded", "mkl", "cholmod", "superlu"]
+
+
+def only(monkeypatch, factor: str) -> None:
+    """Let nothing but this factor of the state at rest be there."""
+    if factor != "banded":
+        monkeypatch.setattr(warped, "_SMALL_BAND", 0.0)
+        monkeypatch.setattr(warped, "_LARGE_BAND", 0.0)
+    if factor in ("cholmod", "superlu"):
+        monkeypatch.setattr(pardiso, "library", lambda: None)
+    if factor == "superlu":
+        monkeypatch.setitem(sys.modules, "cholespy", None)  # as if it were not installed
+
+
+@pytest.mark.parametrize("factor", FACTORS)
+def test_warped_takes_one_factor_for_the_whole_run(cases_folder, monkeypatch, factor: str) -> None:
+    only(monkeypatch, factor)
     overrides = {"method.linear_solver": "warped", "schedule.frames": 10}
     run = frames(build(load_case(cases_folder / "bar.toml", overrides=overrides).variant("polar")))
-    counts = [frame.work.factorisations for frame in run]
-    assert counts == [0, 1, *[0] * 9]
+    work = [frame.work for frame in run]
+    assert [one.factorisations for one in work] == [0, 1, *[0] * 9]
+    assert all(1 < one.linear_iterations < 60 for one in work[1:])
 
 
-def test_warped_without_its_optional_factor_gives_the_same(cases_folder, monkeypatch) -> None:
-    with_any = path(cases_folder, "warped", "polar", **{"schedule.frames": 20})
-    monkeypatch.setattr("pipeline.stepping.warped._BAND_MEGABYTES", 0.0)
-    monkeypatch.setitem(__import__("sys").modules, "cholespy", None)  # as if it were not installed
-    without = path(cases_folder, "warped", "polar", **{"schedule.frames": 20})
-    assert np.abs(with_any[-1] - without[-1]).max() < 1e-5
+@pytest.mark.parametrize("factor", FACTORS)
+def test_warped_gives_the_same_with_every_factor(cases_folder, monkeypatch, factor: str) -> None:
+    expected = path(cases_folder, "superlu", "polar", **{"schedule.frames": 20})
+    only(monkeypatch, factor)
+    found = path(cases_folder, "warped", "polar", **{"schedule.frames": 20})
+    assert np.abs(found[-1] - expected[-1]).max() < 1e-5
+    pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
+    unit = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
+    assert warped.rest_factor(pattern, unit).name == factor
 
 
-@pytest.mark.parametrize("solver", [BandedCholesky, WarpedCG])
+def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypatch) -> None:
+    small = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
+    large = assemble_pattern(box([1.0, 1.0, 1.0], [9, 9, 9])).pattern
+
+    def chosen(pattern, *, constant: bool, stiffness: float = 1e3) -> str:
+        name, reason = linear_solve.choice(pattern, constant=constant, stiffness=stiffness)
+        assert "MB" in reason
+        return name
+
+    assert chosen(small, constant=True) == chosen(small, constant=False) == "banded"
+    assert chosen(large, constant=False) == "warped"
+    monkeypatch.setattr(linear_solve, "_CONSTANT_BAND", 1.0)
+    monkeypatch.setattr(warped, "_SMALL_BAND", 1.0)
+    assert chosen(large, constant=True) == "pardiso"
+    assert chosen(large, constant=False) == "warped" and chosen(large, constant=False, stiffness=2.0) == "cg"
+    monkeypatch.setattr(linear_solve, "library", lambda: None)
+    monkeypatch.setattr(linear_solve, "_CONSTANT_BAND_WITHOUT_MKL", 1.0)
+    assert chosen(large, constant=True) == "superlu"
+    monkeypatch.setattr(linear_solve, "_memory", lambda: 1e6)
+    assert chosen(large, constant=True) == chosen(large, constant=False) == "cg"
+
+
+def test_the_bound_of_the_frequencies_is_one(cases_folder) -> None:
+    body = build(load_case(cases_folder / "bar.toml").variant("polar")).body
+    highest = 2 / true_limit(body)
+    assert highest <= body.frequency_bound < 4 * highest
+
+
+def test_pardiso_without_mkl_says_what_to_install(monkeypatch) -> None:
+    monkeypatch.setattr(pardiso, "library", lambda: None)
+    pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
+    with pytest.raises(SolveError, match=r"pip install 'corotational-pipeline\[fast\]'"):
+        LINEAR_SOLVERS["pardiso"](pattern, 1e-8, None)
+
+
+@pytest.mark.parametrize("solver", [BandedCholesky, warped_cg, Pardiso])
 def test_an_indefinite_matrix_is_an_error(solver) -> None:
-    from pipeline.fem.assembly import assemble_pattern
-
     pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
     good = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
     bad = good.copy()
@@ -61,17 +118,33 @@ def test_an_indefinite_matrix_is_an_error(solver) -> None:
 
 
 def test_a_band_holds_every_entry_once() -> None:
-    from pipeline.fem.assembly import assemble_pattern
-
     pattern = assemble_pattern(box([1.0, 2.0, 1.0], [2, 3, 2])).pattern
     rng = np.random.default_rng(0)
-    values = rng.normal(size=(len(pattern.indices), 3, 3))
+    values = rng.normal(size=(pattern.blocks, 3, 3))
+    values[pattern.diagonal] += np.swapaxes(values[pattern.diagonal], 1, 2) + 100 * np.eye(3)
     full = pattern.matrix(values).toarray()
-    full = full + full.T + 100 * np.eye(len(full))
-    blocks = full.reshape(pattern.nodes, 3, pattern.nodes, 3)[pattern.rows, :, pattern.indices, :]
+    np.testing.assert_array_equal(full, full.T)
     solver = BandedCholesky(pattern)
-    solver.update(blocks)
+    solver.update(values)
     b = rng.normal(size=(pattern.nodes, 3))
     x, _ = solver.solve(b, b)
     np.testing.assert_allclose(full @ x.ravel(), b.ravel(), atol=1e-12)
     assert Band(pattern).width < len(full)
+
+
+@pytest.mark.parametrize(
+    ("variant", "keys", "names"),
+    [
+        ("linear", {}, ["banded"]),
+        ("polar", {}, ["banded"]),
+        ("polar", {"mesh.cells": [6, 12, 6]}, ["warped"]),
+        ("polar", {"method.model": "auto", "mesh.cells": [6, 12, 6]}, ["banded", "warped"]),
+        ("polar", {"method.linear_solver": "cg"}, ["cg"]),
+    ],
+)
+def test_a_run_says_which_solver_it_used_and_why(cases_folder, variant: str, keys: dict, names: list[str]) -> None:
+    problem = build(load_case(cases_folder / "bar.toml", overrides=keys).variant(variant))
+    told = linear_solvers(problem.body, problem.dt, problem.method)
+    assert [one["name"] for one in told] == names
+    for one in told:
+        assert one["reason"] == "the case names it" if names == ["cg"] else " MB, " in one["reason"]

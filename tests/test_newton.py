@@ -205,3 +205,27 @@ def test_a_spin_of_50_rad_a_step_converges_and_keeps_the_volume(split, axis, ite
         J = np.linalg.det(deformation_gradient(body.mesh, state.x))
         assert np.abs(J - 1).max() < 5e-4  # measured: 1.4e-4 in the first step, less after it
         assert work.iterations <= iterations
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("d", [2, 3])
+def test_near_rest_where_the_energy_is_rounding_good_steps_are_taken_whole(d, seed):
+    """Steps were halved for digits that the energy does not have: 20 iterations and more a step, or an error."""
+    mesh = box((4.0, 12.0, 4.0), (2, 8, 2)) if d == 3 else rectangle((4.0, 12.0), (2, 8))
+    body = solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), **METHODS["polar"])
+    away = np.random.default_rng(seed).uniform(-0.4, 0.4, mesh.points.shape)
+    prepared = stepper(body, 0.07, iterations="converged")
+    state = State(0, mesh.points + np.where(body.free_mask[:, None], away, 0.0), 0 * away)
+    for _ in range(60):
+        state, work = prepared.step(state)
+        assert work.iterations <= (3 if state.step > 10 else 10)  # measured: 6 in the first step, 2 from the seventh on
+    assert np.abs(state.x - mesh.points).max() < 1e-6
+
+
+def test_a_descent_that_finds_no_lower_energy_says_so_and_not_that_iterations_are_missing(monkeypatch):
+    """So it ends on a crease of the energy: a bar of jelly of 10 kPa, one cell at s2 + s3 = 0 and tr S = 10."""
+    body, state = thrown("3D")
+    monkeypatch.setattr(Converged, "_search", lambda self, x, dx, phi, slope, stage: (x, phi, False))
+    said = r"^Newton did not reach 1e-09 in 1 iterations \(residual .*\); no step lowers the energy .* a stiffer body$"
+    with pytest.raises(SolveError, match=said):
+        stepper(body, DT, iterations="converged").step(state)

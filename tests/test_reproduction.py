@@ -13,12 +13,12 @@ from pipeline.reproduction.corrections import TESTS as CORRECTION_TESTS
 from pipeline.reproduction.damping import mode_damping
 from pipeline.reproduction.law import Growth, band, growth_between, linear_growth, step_growth
 from pipeline.reproduction.measured import Outcome, Scene
-from pipeline.reproduction.page import Heading, Paragraph, Picture, Table, html, markdown
 from pipeline.reproduction.published import CORRECTIONS, FIGURES, NUMBERS, SCENES, STATEMENTS, TIMINGS, Number
 from pipeline.reproduction.report import kind_of, make_report
 from pipeline.reproduction.statements import TESTS as STATEMENT_TESTS
 from pipeline.reproduction.verdicts import find, judge
 from pipeline.series import read_series
+from pipeline.views.blocks import Heading, Paragraph, Picture, Table, html, markdown
 from tests.bodies import METHODS, motion, solid, spin, thesis_bar
 
 NUMBER = Number("bar: largest volume", "2.0", 2.0, 0.02, "T 1.2", "bar", "linear", "largest_volume")

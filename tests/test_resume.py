@@ -112,6 +112,10 @@ def assert_same_results(one: Path, other: Path) -> None:
     ]
     assert files[0] and files[0].keys() == files[1].keys()
     assert [str(name) for name in files[0] if files[0][name] != files[1][name]] == []
+    assert_same_datasets(one, other)
+
+
+def assert_same_datasets(one: Path, other: Path) -> None:
     with xarray.open_dataset(one / "statistics.nc") as a, xarray.open_dataset(other / "statistics.nc") as b:
         assert a.attrs == b.attrs and a.variables.keys() == b.variables.keys()
         for name in a.variables:
@@ -322,7 +326,7 @@ def test_a_checkpoint_comes_back_to_the_bit():
     generator = np.random.default_rng(0)
     x, v, R = (generator.standard_normal(shape) for shape in ((4, 3), (4, 3), (2, 3, 3)))
     work = Work(steps=3, iterations=7, seconds=0.1, indicator=np.inf)
-    summary = RunSummary(4, 9, 0.1 + 0.2, work, 1 / 3, 2 / 3, -0.1, 5, 0.7)
+    summary = RunSummary(4, 9, 0.1 + 0.2, work, 1 / 3, 2 / 3, 4 / 3, -0.1, 5, 0.7)
     memory = {"guard": np.array([1.0, -0.0, 5e-324]), "rotation_before": R.transpose(0, 2, 1)}
     read = decoded(encoded(Checkpoint(State(12, x, v, memory), work, summary)))
     assert read.state.step == 12 and (read.work, read.summary) == (work, summary)
@@ -332,7 +336,7 @@ def test_a_checkpoint_comes_back_to_the_bit():
 
 
 def test_no_byte_of_a_checkpoint_can_change_unseen():
-    summary = RunSummary(1, 0, 0.0, Work(), 0.0, 0.0, 1.0, 0, 0.0)
+    summary = RunSummary(1, 0, 0.0, Work(), 0.0, 0.0, 0.0, 1.0, 0, 0.0)
     data = encoded(Checkpoint(State(1, np.zeros((1, 2)), np.ones((1, 2))), Work(), summary))
     for place in range(0, len(data), 7):
         changed = bytearray(data)

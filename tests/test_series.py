@@ -1,13 +1,11 @@
 """Series that other programs wrote: every format, what is found out about them, and what is refused."""
 
 import json
-import os
 import pickle
 import re
 import shutil
 import subprocess
 import sys
-import tomllib
 
 import meshio
 import numpy as np
@@ -493,18 +491,6 @@ def test_a_planar_dataset_too(tmp_path):
     dataset = opened(str(tmp_path / "f0.vtu").replace("f0", "f*"))
     assert dataset.series.volume_ratio().values[1] == pytest.approx([1.1, 1.1])
     xarray.testing.assert_identical(opened(dataset_to_pvd(dataset, tmp_path / "a" / "p.pvd")), dataset)
-
-
-@pytest.fixture
-def installed(tmp_path, project_root):
-    """An environment in which the entry points of pyproject.toml are those of an installed package."""
-    entry = tomllib.loads((project_root / "pyproject.toml").read_text())["project"]["entry-points"]["xarray.backends"]
-    info = tmp_path / "site" / "entry_of_this_tree-0.1.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: entry-of-this-tree\nVersion: 0.1\n")
-    lines = [f"{name} = {target}" for name, target in entry.items()]
-    (info / "entry_points.txt").write_text("[xarray.backends]\n" + "\n".join(lines) + "\n")
-    return os.environ | {"PYTHONPATH": os.pathsep.join([str(info.parent), str(project_root)])}
 
 
 def test_xarray_finds_the_engine_by_itself(tmp_path, installed):

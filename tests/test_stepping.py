@@ -13,7 +13,8 @@ from pipeline.fem.loads import body_force
 from pipeline.fem.modes import lowest_frequencies
 from pipeline.mesh.simplex import Mesh
 from pipeline.stepping.backward_euler import damping_ratio
-from pipeline.stepping.linear_solve import BlockJacobiCG, SuperLU
+from pipeline.stepping.conjugate_gradients import block_jacobi_cg
+from pipeline.stepping.linear_solve import SuperLU
 from pipeline.stepping.state import State, Work
 from tests.bodies import BOXES, METHODS, clamped_bar, motion, solid, spin, stepper, thesis_bar
 
@@ -75,13 +76,13 @@ def test_damping_of_the_thesis_bar_is_a_third_of_critical():
 @MESHES
 def test_an_unforced_linear_step_loses_half_the_squares_of_its_changes(mesh, mass):
     body = solid(mesh, held=[0, 1], mass=mass)
-    K = body.linearise(mesh.points)[1]
+    K = body.pattern.matrix(body.linearise(mesh.points)[1])
     v = np.where(body.free_mask[:, None], RNG.standard_normal(mesh.points.shape), 0.0)
     states = motion(body, 0.01, 20, v)
     start = energy(body, states[0])
     for a, b in pairwise(states):
         dv, du = b.v - a.v, b.x - a.x
-        loss = ((dv * body.momentum(dv)).sum() + (du * body.pattern.product(K, du)).sum()) / 2
+        loss = ((dv * body.momentum(dv)).sum() + du.ravel() @ K @ du.ravel()) / 2
         assert energy(body, a) - energy(body, b) == pytest.approx(loss, abs=1e-12 * start)
     assert energy(body, states[-1]) < 0.9 * start
 
@@ -221,8 +222,8 @@ def test_a_step_changes_nothing_that_it_was_given(method):
         assert np.array_equal(got, wanted)
 
 
-@pytest.mark.parametrize("solver", [SuperLU, BlockJacobiCG])
+@pytest.mark.parametrize("solver", [SuperLU, block_jacobi_cg])
 def test_a_singular_system_is_a_clear_error(solver):
-    pattern = BlockPattern(np.array([0, 1]), np.array([0]), 3)
+    pattern = BlockPattern(np.array([0, 1]), np.array([0]), 3, np.array([0]))
     with pytest.raises(SolveError, match="singular"):
         solver(pattern, 1e-8).update(np.zeros((1, 3, 3)), lambda: np.eye(3)[None])

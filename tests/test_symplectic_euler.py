@@ -222,9 +222,9 @@ def matrices(monkeypatch) -> list[Mesh]:
     made: list[Mesh] = []
     pattern = pipeline.fem.body.assemble_pattern
 
-    def counted(mesh: Mesh) -> Assembly:
+    def counted(mesh: Mesh, order: np.ndarray) -> Assembly:
         made.append(mesh)
-        return pattern(mesh)
+        return pattern(mesh, order)
 
     monkeypatch.setattr(pipeline.fem.body, "assemble_pattern", counted)
     return made

@@ -1,6 +1,6 @@
 """The sections of a case file. Names of laws, steppers and shapes are free here: build.py owns the tables."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, model_validator
 
@@ -239,9 +239,13 @@ class ScheduleSpec(Spec):
 
 
 class OutputSpec(Spec):
-    """How frames are written; the wall time or the frames between two checkpoints, which no result depends on."""
+    """How frames are written; the wall time or the frames between two checkpoints, which no result depends on.
 
-    format: Annotated[str, choice("vtu")] = "vtu"
+    With `precision` float32 the fields in the frames are rounded; statistics.nc is float64 always.
+    """
+
+    format: Annotated[str, choice("vtu", "vtkhdf")] = "vtu"
+    precision: Annotated[Literal["float64", "float32"], choice("float64", "float32")] = "float64"
     checkpoint_seconds: Positive = 10.0
     checkpoint_frames: Count | None = None
 

@@ -5,7 +5,7 @@ import logging
 import os
 from collections.abc import Sequence
 
-from pipeline.cli import scenes, series
+from pipeline.cli import page, scenes, series, study
 from pipeline.cli.terminal import say
 from pipeline.errors import PipelineError
 from pipeline.version import VERSION
@@ -45,6 +45,6 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="pipeline", description="Volume drift of deformable solids.")
     parser.add_argument("--version", action="version", version=f"pipeline {VERSION}")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
-    for module in (scenes, series):
+    for module in (scenes, study, series, page):
         module.add_verbs(verbs, common)
     return parser

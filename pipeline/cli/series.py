@@ -1,9 +1,12 @@
 """The verbs for series that other programs wrote: analyze, compare."""
 
 import argparse
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.analysis import Analysis, Comparison
 from pipeline.cli.terminal import progress, say
 from pipeline.series import Series, read_series
 
@@ -17,6 +20,7 @@ def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
     foreign.add_argument("--rest", metavar="STATE", help="first, points, rest_position or a file")
     foreign.add_argument("--strict", action="store_true", help="refuse a series with missing or broken frames")
     foreign.add_argument("--movie", action="store_true", help="draw a movie too")
+    foreign.add_argument("--report", action="store_true", help="write report.html too: all of it in one page")
     foreign.add_argument("--out", type=Path, default=Path("outputs/analysis"), metavar="DIR", help="where results go")
 
     one = verbs.add_parser("analyze", parents=[common, foreign], help="measure anybody's series")
@@ -36,24 +40,25 @@ def _opened(options: argparse.Namespace, path: str) -> Series:
 def _analyze(options: argparse.Namespace) -> int:
     from pipeline.analysis import analyze
 
+    series = _opened(options, options.series)
     with progress(options.quiet) as bar:
-        found = analyze(
-            _opened(options, options.series), options.out, movie=options.movie, on_frame=bar.read, on_drawing=bar.drawn
-        )
+        found = analyze(series, options.out, movie=options.movie, on_frame=bar.read, on_drawing=bar.drawn)
     for note in found.notes:
         say(f"note: {note}")
     if not options.quiet:
         worst = f"{found.worst_volume_ratio:.4f} (cell {found.worst_cell}, t = {found.worst_time:.4g} s)"
         print(f"{found.name}: {found.frames} frames; worst volume ratio {worst}", *found.made, sep="\n  ")
+    _report(options, found, [series], ["analyze", options.series])
     return 0
 
 
 def _compare(options: argparse.Namespace) -> int:
     from pipeline.analysis import compare
 
+    series = [_opened(options, path) for path in options.series]
     with progress(options.quiet) as bar:
         found = compare(
-            [_opened(options, path) for path in options.series],
+            series,
             options.out,
             movie=options.movie,
             difference=options.difference,
@@ -64,4 +69,21 @@ def _compare(options: argparse.Namespace) -> int:
         say(f"note: {note}")
     if not options.quiet:
         print(*found.made, sep="\n")
+    _report(options, found, series, ["compare", *options.series])
     return 0
+
+
+def _report(
+    options: argparse.Namespace, found: Analysis | Comparison, series: Sequence[Series], words: Sequence[str]
+) -> None:
+    """Write report.html where it is asked for, with the command that led to it."""
+    if not options.report:
+        return
+    from pipeline.report import report_of_analysis
+
+    given = [("--displacement", options.displacement), ("--rest", options.rest), ("--out", options.out.as_posix())]
+    words = [*words, *(word for name, value in given if value for word in (name, value))]
+    words += [f"--{name}" for name in ("strict", "movie", "difference", "report") if getattr(options, name, False)]
+    path = report_of_analysis(found, series, shlex.join(["pipeline", *words]))
+    if not options.quiet:
+        print(f"  {path}" if isinstance(found, Analysis) else path)

@@ -15,6 +15,9 @@ def say(line: str) -> None:
     print(line, file=sys.stderr)
 
 
+_RUNGS = ("linear", "corotational", "converged")
+
+
 class Bars:
     """A bar a variant, with steps a second, time left and the worst volume ratio; and one for the movie."""
 
@@ -25,9 +28,10 @@ class Bars:
     def solved(self, name: str, problem: Problem, frame: Frame, measured: Values, summary: RunSummary) -> None:
         """Show a frame of a variant."""
         total = problem.frames * problem.steps_per_frame
-        wall = summary.work.seconds + summary.writing_seconds
-        rate = f"{summary.steps / wall:6.0f} steps/s" if wall else ""
-        self._show(name, frame.step or 0, total, f"{rate}  worst V/V0 {summary.worst_volume_ratio:.4f}")
+        wall = summary.wall_seconds
+        rate = f"{summary.steps / wall:6.0f} steps/s" if summary.steps else ""
+        rung = f"  {_RUNGS[int(measured['rung'])]}" if "rung" in measured else ""
+        self._show(name, frame.step or 0, total, f"{rate}  worst V/V0 {summary.worst_volume_ratio:.4f}{rung}")
 
     def drawn(self, done: int, total: int) -> None:
         """Show a frame of the movie."""

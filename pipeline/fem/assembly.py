@@ -1,86 +1,117 @@
-"""From cells to nodes: the block pattern of the mesh's matrices, computed once, and the sums over it."""
+"""From cells to nodes: the block pattern of the mesh's symmetric matrices, computed once, and the sums over it."""
 
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import bsr_array, coo_array, csr_array
+from scipy.sparse import bsr_array
 
 from pipeline.mesh.simplex import Floats, Ints, Mesh
 
 
 @dataclass(frozen=True, eq=False)
 class BlockPattern:
-    """Where a matrix of d x d blocks has entries: compressed rows of nodes. Values are (blocks, d, d)."""
+    """Where a symmetric matrix of d x d blocks has entries on and below its diagonal: compressed rows.
+
+    Values are (blocks, d, d); above the diagonal stand their transposes. The diagonal block is the last of its row.
+    Row k is that of node `order[k]`.
+    """
 
     indptr: Ints
     indices: Ints
     dimension: int
+    order: Ints
 
     @property
     def nodes(self) -> int:
         """Return the number of block rows."""
         return len(self.indptr) - 1
 
+    @property
+    def blocks(self) -> int:
+        """Return the number of stored blocks."""
+        return len(self.indices)
+
     @cached_property
     def rows(self) -> Ints:
-        """Return the block row of every block."""
+        """Return the row of every block."""
         return np.repeat(np.arange(self.nodes), np.diff(self.indptr))
 
+    @cached_property
+    def diagonal(self) -> Ints:
+        """Return the block on the diagonal of every row."""
+        return self.indptr[1:] - 1
+
+    @cached_property
+    def _whole(self) -> tuple[Ints, Ints, Ints, Ints]:
+        """Return the off-diagonal blocks, and of the whole matrix in nodes: which block goes where, indptr, indices."""
+        off = np.flatnonzero(self.rows != self.indices)
+        i, j = self.order[self.rows], self.order[self.indices]
+        rows, columns = np.concatenate([i, j[off]]), np.concatenate([j, i[off]])
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=self.nodes))])
+        sort = np.lexsort((columns, rows))
+        return off, sort, indptr, columns[sort]
+
     def matrix(self, values: Floats) -> bsr_array:
-        """Return the values as a scipy matrix that shares their memory."""
+        """Return the whole matrix, its rows and columns in the order of the nodes."""
+        off, sort, indptr, indices = self._whole
+        both = np.concatenate([values, np.swapaxes(values[off], 1, 2)])[sort]
         size = self.dimension * self.nodes
-        return bsr_array((values, self.indices, self.indptr), shape=(size, size))
+        return bsr_array((both, indices, indptr), shape=(size, size))
 
-    def product(self, values: Floats, vector: Floats) -> Floats:
-        """Return the matrix times a nodal vector (n, d)."""
-        return np.asarray((self.matrix(values) @ vector.ravel()).reshape(vector.shape))
+    def product(self, values: Floats, x: Floats, out: Floats) -> Floats:
+        """Write the matrix times x (rows, d) into out, in the order of the rows, and return it."""
+        from pipeline.fem.block_kernels import product
 
-    def restricted(self, kept: np.ndarray) -> tuple["BlockPattern", Ints]:
-        """Return the pattern of the kept nodes (a mask) and the index of its blocks among ours."""
-        columns = self.indices
-        blocks = np.flatnonzero(kept[self.rows] & kept[columns])
-        number = np.cumsum(kept) - 1
-        counts = np.bincount(number[self.rows[blocks]], minlength=int(kept.sum()))
-        indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        return BlockPattern(indptr, number[columns[blocks]].astype(np.int64), self.dimension), blocks
+        product(self.indptr, self.indices, values, x, out)
+        return out
+
+    def leading(self, count: int) -> "BlockPattern":
+        """Return the pattern of the first `count` rows and columns; its values are the first of ours."""
+        last = self.indptr[count]
+        return BlockPattern(self.indptr[: count + 1], self.indices[:last], self.dimension, np.arange(count))
 
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """The pattern of a mesh and the map from every pair of a cell's corners to its block."""
+    """The pattern of a mesh; `corners` (e, d + 1) sorts a cell's corners by row, and then `pairs` names their blocks.
+
+    `pairs` (e, (d + 1)(d + 2)/2) are those of the corners (0, 0), (1, 0), (1, 1), (2, 0), …
+    """
 
     pattern: BlockPattern
+    corners: Ints
     pairs: Ints
 
     def sum_scalars(self, per_pair: Floats) -> Floats:
-        """Return the block sums (blocks,) of one number a pair of corners (e, d + 1, d + 1)."""
-        sums = np.bincount(self.pairs, weights=per_pair.ravel(), minlength=len(self.pattern.indices))
-        return np.asarray(sums, np.float64)
+        """Return the block sums (blocks,) of one symmetric number a pair of corners (e, d + 1, d + 1)."""
+        return self.sum_blocks(per_pair[:, :, None, :, None])[:, 0, 0]
 
     def sum_blocks(self, per_pair: Floats) -> Floats:
-        """Return the values (blocks, d, d) of the cells' matrices (e, d + 1, d, d + 1, d)."""
-        d = self.pattern.dimension
-        blocks = per_pair.transpose(2, 4, 0, 1, 3).reshape(d * d, -1)
-        count = len(self.pattern.indices)
-        sums = [np.bincount(self.pairs, weights=b, minlength=count) for b in blocks]
-        return np.asarray(np.stack(sums, axis=1), np.float64).reshape(-1, d, d)
+        """Return the values (blocks, k, k) of the cells' symmetric matrices (e, d + 1, k, d + 1, k)."""
+        k, corners = per_pair.shape[2], self.corners
+        a, b = np.tril_indices(corners.shape[1])
+        cells = np.arange(len(corners))[:, None]
+        lower = per_pair[cells, corners[:, a], :, corners[:, b], :].reshape(-1, k * k)
+        sums = [np.bincount(self.pairs.ravel(), weights=one, minlength=self.pattern.blocks) for one in lower.T]
+        return np.asarray(np.stack(sums, axis=1), np.float64).reshape(-1, k, k)
 
 
-def assemble_pattern(mesh: Mesh) -> Assembly:
-    """Return the assembly of a mesh."""
-    n, corners = len(mesh.points), mesh.cells.shape[1]
-    rows = np.repeat(mesh.cells, corners, axis=1).ravel()
-    columns = np.tile(mesh.cells, (1, corners)).ravel()
+def corners_by_row(mesh: Mesh, order: Ints) -> Ints:
+    """Return the corners (e, d + 1) of every cell, sorted by the row of their node; row k is node order[k]."""
+    return np.argsort(np.argsort(order)[mesh.cells], axis=1)
+
+
+def assemble_pattern(mesh: Mesh, order: Ints | None = None) -> Assembly:
+    """Return the assembly of a mesh whose row k is node order[k]; by default the nodes as they come."""
+    n = len(mesh.points)
+    order = np.arange(n) if order is None else order
+    corners = corners_by_row(mesh, order)
+    cells = np.argsort(order)[np.take_along_axis(mesh.cells, corners, axis=1)]
+    a, b = np.tril_indices(cells.shape[1])
+    keys = (cells[:, a] * n + cells[:, b]).ravel()
     # a node that no cell uses still has its (zero) diagonal block
-    graph = csr_array(
-        coo_array(
-            (np.ones(rows.size + n), (np.append(rows, np.arange(n)), np.append(columns, np.arange(n)))),
-            shape=(n, n),
-        )
-    )
-    graph.sum_duplicates()
-    keys = np.repeat(np.arange(n), np.diff(graph.indptr)) * n + graph.indices
-    pairs = np.searchsorted(keys, rows.astype(np.int64) * n + columns)
-    pattern = BlockPattern(graph.indptr.astype(np.int64), graph.indices.astype(np.int64), mesh.dimension)
-    return Assembly(pattern, pairs.astype(np.int64))
+    blocks, pairs = np.unique(np.concatenate([keys, np.arange(n) * (n + 1)]), return_inverse=True)
+    indptr = np.concatenate([[0], np.cumsum(np.bincount(blocks // n, minlength=n))])
+    pattern = BlockPattern(indptr, blocks % n, mesh.dimension, order)
+    return Assembly(pattern, corners, pairs[: len(keys)].reshape(len(cells), -1))

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
 from pipeline.fem.element import deformation_gradient, nodal_forces, nodal_sums, stiffness_blocks
@@ -14,6 +13,7 @@ from pipeline.fem.loads import lumped_mass_pairs
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
+from pipeline.fem.turning import Turning, turning
 from pipeline.mesh.simplex import Floats, Ints, Mesh
 
 
@@ -33,13 +33,18 @@ class Body:
         return self.law.material
 
     @cached_property
+    def order(self) -> Ints:
+        """Return the node of every row of a matrix: the free ones, then the held ones."""
+        return np.concatenate([self.free, np.flatnonzero(~self.free_mask)])
+
+    @cached_property
     def assembly(self) -> Assembly:
-        """Return the block pattern of all nodes and the map into it."""
-        return assemble_pattern(self.mesh)
+        """Return the block pattern of all nodes, the free ones first, and the map into it."""
+        return assemble_pattern(self.mesh, self.order)
 
     @property
     def pattern(self) -> BlockPattern:
-        """Return the block pattern of all nodes."""
+        """Return the block pattern of all nodes, the free ones first."""
         return self.assembly.pattern
 
     @cached_property
@@ -55,32 +60,45 @@ class Body:
         return mask
 
     @cached_property
-    def free_pattern(self) -> tuple[BlockPattern, Ints]:
-        """Return the pattern of the free nodes and the index of its blocks in `pattern`."""
-        return self.pattern.restricted(self.free_mask)
+    def free_pattern(self) -> BlockPattern:
+        """Return the pattern of the free nodes; its values are the first of those of `pattern`."""
+        return self.pattern.leading(len(self.free))
 
     @cached_property
     def mass(self) -> Floats:
         """Return the mass matrix' values (blocks, d, d) [kg]."""
-        pairs = self.assembly.sum_scalars(self.mass_pairs(self.mesh, self.material.density))
-        return pairs[:, None, None] * np.eye(self.mesh.dimension)
+        return self._nodal_mass[:, None, None] * np.eye(self.mesh.dimension)
 
     @cached_property
-    def _nodal_mass(self) -> csr_array:
-        """Return the mass matrix without its d-fold repetition (n, n) [kg]."""
-        n = self.pattern.nodes
-        return csr_array((self.mass[:, 0, 0].copy(), self.pattern.indices, self.pattern.indptr), shape=(n, n))
+    def _nodal_mass(self) -> Floats:
+        """Return the mass matrix' values without their d-fold repetition (blocks,) [kg]."""
+        return self.assembly.sum_scalars(self.mass_pairs(self.mesh, self.material.density))
 
     @cached_property
     def lumped_mass(self) -> Floats:
         """Return the row sums of the mass matrix (n,) [kg]."""
         return self.material.density * self.mesh.node_volumes
 
+    @cached_property
+    def frequency_bound(self) -> float:
+        """Return what no frequency of the body at rest with lumped masses exceeds [rad/s]; cheap, a few times too high.
+
+        In a cell omega^2 <= (lam + 2 mu) V sum_a |grad N_a|^2 over the mass of a corner, rho V / (d + 1).
+        """
+        m = self.material
+        steepest = (self.mesh.shape_gradients**2).sum(axis=(1, 2)).max()
+        return float(np.sqrt((m.lam + 2 * m.mu) * (self.mesh.dimension + 1) * steepest / m.density))
+
     def momentum(self, v: Floats) -> Floats:
         """Return M v (n, d) [kg m/s]; lumped masses need no matrix."""
+        out = np.empty_like(v)
         if self.mass_pairs is lumped_mass_pairs:
-            return self.lumped_mass[:, None] * v
-        return np.asarray(self._nodal_mass @ v)
+            return np.multiply(self.lumped_mass[:, None], v, out=out)
+        from pipeline.fem.block_kernels import scalar_product
+
+        pattern = self.pattern
+        scalar_product(pattern.indptr, pattern.indices, pattern.order, self._nodal_mass, np.ascontiguousarray(v), out)
+        return out
 
     def rotations(self, x: Floats) -> Floats:
         """Return the law's frame of every cell (e, d, d) at positions x (n, d)."""
@@ -103,10 +121,32 @@ class Body:
         F = deformation_gradient(self.mesh, x)
         return nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
 
+    def turning(self, x: Floats, used: Floats, enough: float = 0.0) -> Turning:
+        """Return how far the cells at x have turned from the rotations used (e, d, d), or (1, d, d) for all.
+
+        Where it can be seen without finding the rotations that the indicator is at most `enough`, they are not found.
+        """
+        return turning(self.law, deformation_gradient(self.mesh, x), used)
+
     def linearise(self, x: Floats, R: Floats | None = None, kind: Tangent = "frozen") -> tuple[Floats, Floats]:
         """Return the elastic forces (n, d) [N] and the values of K = -df/dx (blocks, d, d) [N/m]."""
+        f, K = np.empty_like(x), np.zeros((self.pattern.blocks, x.shape[1], x.shape[1]))
+        self.add_stiffness(x, 1.0, f, K, R=R, kind=kind)
+        return f, K
+
+    def system(
+        self, x: Floats, h: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
+    ) -> None:
+        """Write the elastic forces into f (n, d) [N] and the values of M + h^2 K into A (blocks, d, d) [kg]."""
+        A[:] = self.mass
+        self.add_stiffness(x, h**2, f, A, R=R, kind=kind)
+
+    def add_stiffness(
+        self, x: Floats, scale: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
+    ) -> None:
+        """Write the elastic forces into f (n, d) and add scale * K to A (blocks, d, d)."""
         F = deformation_gradient(self.mesh, x)
         if R is None:
             R = self.law.rotations(F)
-        f = nodal_forces(self.mesh, self.law.stress(F, R))
-        return f, self.assembly.sum_blocks(stiffness_blocks(self.mesh, self.law.tangent(F, R, kind)))
+        f[:] = nodal_forces(self.mesh, self.law.stress(F, R))
+        A += scale * self.assembly.sum_blocks(stiffness_blocks(self.mesh, self.law.tangent(F, R, kind)))

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.fem.assembly import corners_by_row
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Corotational, Law, Tangent
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
+from pipeline.fem.turning import Turning, indicator
 from pipeline.mesh.simplex import Floats, Mesh
 
 
@@ -22,19 +24,27 @@ def make_body(
     return (CompiledBody if compiled else Body)(mesh, law, supports, load, mass_pairs)
 
 
+_NO_ROTATIONS = np.empty((0, 3, 3))
+
+
 @dataclass(frozen=True, eq=False)
 class CompiledBody(Body):
     """The same numbers as Body, to rounding, from kernels.py."""
 
     @cached_property
     def _cells(self) -> tuple[Any, ...]:
-        """Return what every kernel takes after x: cells, shape gradients, rest volumes, mu, lam."""
-        m = self.material
-        return (self.mesh.cells, self.mesh.shape_gradients, self.mesh.rest_volumes, m.mu, m.lam)
+        """Return what every kernel takes after x: cells, gradients of all but their first corner, volumes, mu, lam.
+
+        The corners of a cell stand in the order of their rows, so that its blocks lie below the diagonal.
+        """
+        m, corners = self.material, corners_by_row(self.mesh, self.order)
+        cells = np.take_along_axis(self.mesh.cells, corners, axis=1)
+        G = np.take_along_axis(self.mesh.shape_gradients, corners[:, 1:, None], axis=1)
+        return (cells.astype(np.int32), G, self.mesh.rest_volumes, m.mu, m.lam)
 
     @cached_property
     def _pairs(self) -> np.ndarray:
-        return self.assembly.pairs.reshape(-1, 4, 4)
+        return self.assembly.pairs.astype(np.int32)
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, 3)."""
@@ -42,14 +52,36 @@ class CompiledBody(Body):
 
         return float(kernels.energy(_plain(x), *self._cells))
 
+    def rotations(self, x: Floats) -> Floats:
+        """Return the polar rotation of every cell (e, 3, 3)."""
+        from pipeline.fem import kernels
+
+        R = np.empty((len(self.mesh.cells), 3, 3))
+        kernels.rotations(_plain(x), *self._cells[:2], R)
+        return R
+
     def nodal_rotations(self, x: Floats) -> Floats:
         """Return the polar rotation of each node's mean gradient (n, 3, 3)."""
         from pipeline.fem import kernels
 
-        n = len(x)
-        sums, R = np.empty((n, 3, 3)), np.empty((n, 3, 3))
-        kernels.nodal_rotations(_plain(x), *self._cells[:3], sums, R)
+        R = np.empty((len(x), 3, 3))
+        kernels.nodal_rotations(_plain(x), *self._cells[:3], R)
         return R
+
+    def turning(self, x: Floats, used: Floats, enough: float = 0.0) -> Turning:
+        """Return how far the cells at x have turned from the rotations used; a bound decides where it can."""
+        from pipeline.fem import turning_kernels
+
+        cells, G, _, mu, lam = self._cells
+        if len(used) == 1 and np.array_equal(used[0], np.eye(3)):
+            tangent, stress = turning_kernels.bounds(_plain(x), cells, G, mu, lam)
+            cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, by that of its half
+            bound = indicator(1 + 2 * cosine, 3, stress, self.material)
+            if bound <= enough:
+                return Turning(bound, None)
+        reached = np.empty((len(cells), 3, 3))
+        trace, stress = turning_kernels.turning(_plain(x), cells, G, mu, lam, _plain(used), reached)
+        return Turning(indicator(trace, 3, stress, self.material), reached)
 
     def force(self, x: Floats, R: Floats | None = None) -> Floats:
         """Return the elastic forces ON the nodes (n, 3) [N]; with given rotations the plain way."""
@@ -61,18 +93,17 @@ class CompiledBody(Body):
         kernels.force(_plain(x), *self._cells, f)
         return f
 
-    def linearise(self, x: Floats, R: Floats | None = None, kind: Tangent = "frozen") -> tuple[Floats, Floats]:
-        """Return the elastic forces (n, 3) [N] and the values of K (blocks, 3, 3) [N/m]; frozen ones are compiled."""
+    def add_stiffness(
+        self, x: Floats, scale: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
+    ) -> None:
+        """Write the elastic forces into f (n, 3) and add scale * K to A (blocks, 3, 3); frozen ones are compiled."""
         if kind != "frozen":
-            return super().linearise(x, R, kind)
+            super().add_stiffness(x, scale, f, A, R=R, kind=kind)
+            return
         from pipeline.fem import kernels
 
-        f = np.empty_like(x)
-        K = np.empty((len(self.pattern.indices), 3, 3))
-        given = R is not None
-        used = np.ascontiguousarray(R) if R is not None else np.empty((len(self.mesh.cells), 3, 3))
-        kernels.linearise(_plain(x), *self._cells, self._pairs, given, used, f, K)
-        return f, K
+        used = _NO_ROTATIONS if R is None else _plain(R)
+        kernels.linearise(_plain(x), *self._cells, self._pairs, scale, R is not None, used, f, A)
 
 
 def _plain(x: Floats) -> Floats:

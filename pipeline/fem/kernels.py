@@ -2,11 +2,15 @@
 
 Each does in one pass over the cells what the numpy lines beside it in rotation.py, laws.py and element.py do in many;
 tests hold the two together. Compiled once a machine (cached beside this file), not once a run.
+
+What is the same arithmetic for every cell runs over LANES cells at once, entries first: F[3 i + j, lane]. The compiler
+makes vector instructions of such loops; gathering from nodes and scattering to them goes cell by cell.
 """
 
 import numpy as np
 from numba import njit
 
+LANES = 32
 # Newton on the quartic starts above its largest root and falls monotonically; near a double root it slows down, and
 # the eigenvector's cofactors lose their digits: below this part of their natural size Jacobi's sweeps decide.
 _SEPARATED = 1e-5
@@ -15,98 +19,117 @@ _SWEEPS = 20  # 4 x 4 needs about 5
 
 
 @njit(cache=True, error_model="numpy")
-def _largest_root(c2, c1, c0, start):
-    """Return the largest root of x^4 + c2 x^2 + c1 x + c0, from above."""
-    x = start
-    for _ in range(_NEWTON):
-        x2 = x * x
-        value = (x2 + c2) * x2 + c1 * x + c0
-        slope = (4.0 * x2 + 2.0 * c2) * x + c1
-        if slope <= 0.0:
-            break
-        step = value / slope
-        x -= step
-        if step <= 1e-15 * x:
-            break
-    return x
+def _quartics(F, C):
+    """Write, a lane, 1/|F| and c1, c0 of det(N - x I) = x^4 - 2 x^2 + c1 x + c0 into C (3, LANES); F is scaled to 1.
+
+    tr(R^T F) = q . N q for the symmetric, traceless N of Horn, so the best quaternion q belongs to the largest root.
+    """
+    for l in range(LANES):
+        square = 0.0
+        for k in range(9):
+            square += F[k, l] * F[k, l]
+        scale = 1.0 / np.sqrt(square)
+        xx, xy, xz = F[0, l] * scale, F[1, l] * scale, F[2, l] * scale
+        yx, yy, yz = F[3, l] * scale, F[4, l] * scale, F[5, l] * scale
+        zx, zy, zz = F[6, l] * scale, F[7, l] * scale, F[8, l] * scale
+        n00, n11, n22, n33 = xx + yy + zz, xx - yy - zz, yy - xx - zz, zz - xx - yy
+        n01, n02, n03 = zy - yz, xz - zx, yx - xy
+        n12, n13, n23 = xy + yx, xz + zx, yz + zy
+        det = xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx)
+        # det N from the 2 x 2 minors of its first two rows (b) and of its last two (a)
+        a01, a02, a03 = n02 * n13 - n12 * n03, n02 * n23 - n22 * n03, n02 * n33 - n23 * n03
+        a12, a13, a23 = n12 * n23 - n22 * n13, n12 * n33 - n23 * n13, n22 * n33 - n23 * n23
+        b01, b02, b03 = n00 * n11 - n01 * n01, n00 * n12 - n02 * n01, n00 * n13 - n03 * n01
+        b12, b13, b23 = n01 * n12 - n02 * n11, n01 * n13 - n03 * n11, n02 * n13 - n03 * n12
+        C[0, l] = scale
+        C[1, l] = -8.0 * det
+        C[2, l] = b01 * a23 - b02 * a13 + b03 * a12 + b12 * a03 - b13 * a02 + b23 * a01
 
 
 @njit(cache=True, error_model="numpy")
-def polar_rotation(F, R):
-    """Write the closest rotation to F (3, 3) into R: Horn's quaternion, the eigenvector of the largest eigenvalue.
+def _largest_roots(C, root):
+    """Write the largest root of each lane's quartic into root (LANES,): at most sqrt(3), where F is a rotation."""
+    for l in range(LANES):
+        root[l] = 1.7320508075688772
+    for _ in range(_NEWTON):
+        moving = 0
+        for l in range(LANES):
+            x = root[l]
+            x2 = x * x
+            value = (x2 - 2.0) * x2 + C[1, l] * x + C[2, l]
+            slope = (4.0 * x2 - 4.0) * x + C[1, l]
+            step = value / slope if slope > 0.0 else 0.0
+            step = step if step > 1e-15 * x else 0.0  # where it is done it stays, whatever its neighbours need
+            root[l] = x - step
+            moving += 1 if step > 0.0 else 0
+        if moving == 0:
+            break
 
-    tr(R^T F) = q . N q for the symmetric, traceless N below, so the best q belongs to its largest eigenvalue, a root
-    of x^4 - 2 |F|^2 x^2 - 8 det F x + det N. 1 ulp of the root costs 1/gap ulps of q, which _SEPARATED bounds.
+
+@njit(cache=True, error_model="numpy")
+def _null_rotations(F, C, root, R, good):
+    """Write the rotations of the null vectors of N - root I into R (9, LANES), and into good where they are defined.
+
+    The adjugate of a matrix of rank three is q q^T times a number: the row of its largest diagonal entry is q.
+    1 ulp of the root costs 1/gap ulps of q, which _SEPARATED bounds.
     """
-    largest = np.abs(F).max()
+    for l in range(LANES):
+        scale, x = C[0, l], root[l]
+        xx, xy, xz = F[0, l] * scale, F[1, l] * scale, F[2, l] * scale
+        yx, yy, yz = F[3, l] * scale, F[4, l] * scale, F[5, l] * scale
+        zx, zy, zz = F[6, l] * scale, F[7, l] * scale, F[8, l] * scale
+        m00, m11, m22, m33 = xx + yy + zz - x, xx - yy - zz - x, yy - xx - zz - x, zz - xx - yy - x
+        m01, m02, m03 = zy - yz, xz - zx, yx - xy
+        m12, m13, m23 = xy + yx, xz + zx, yz + zy
+        a02, a03 = m02 * m23 - m22 * m03, m02 * m33 - m23 * m03
+        a12, a13, a23 = m12 * m23 - m22 * m13, m12 * m33 - m23 * m13, m22 * m33 - m23 * m23
+        b01, b02, b03 = m00 * m11 - m01 * m01, m00 * m12 - m02 * m01, m00 * m13 - m03 * m01
+        b12, b13, b23 = m01 * m12 - m02 * m11, m01 * m13 - m03 * m11, m02 * m13 - m03 * m12
+        d0, d1 = m11 * a23 - m12 * a13 + m13 * a12, m00 * a23 - m02 * a03 + m03 * a02
+        d2, d3 = m03 * b13 - m13 * b03 + m33 * b01, m02 * b12 - m12 * b02 + m22 * b01
+        q01, q23 = m02 * a13 - m01 * a23 - m03 * a12, m12 * b03 - m02 * b13 - m23 * b01
+        q02, q03 = m13 * b23 - m23 * b13 + m33 * b12, m22 * b13 - m12 * b23 - m23 * b12
+        q12, q13 = m23 * b03 - m03 * b23 - m33 * b02, m02 * b23 - m22 * b03 + m23 * b02
+        # written as choices, not branches: those the compiler can do for many lanes at once
+        best, w, i, j, k = abs(d0), d0, q01, q02, q03
+        c = abs(d1) > best
+        best, w, i, j, k = abs(d1) if c else best, q01 if c else w, d1 if c else i, q12 if c else j, q13 if c else k
+        c = abs(d2) > best
+        best, w, i, j, k = abs(d2) if c else best, q02 if c else w, q12 if c else i, d2 if c else j, q23 if c else k
+        c = abs(d3) > best
+        best, w, i, j, k = abs(d3) if c else best, q03 if c else w, q13 if c else i, q23 if c else j, d3 if c else k
+        good[l] = 1.0 if best > _SEPARATED * x * x * x else 0.0
+        r = 2.0 / (w * w + i * i + j * j + k * k)
+        R[0, l], R[1, l], R[2, l] = 1.0 - r * (j * j + k * k), r * (i * j - w * k), r * (i * k + w * j)
+        R[3, l], R[4, l], R[5, l] = r * (i * j + w * k), 1.0 - r * (i * i + k * k), r * (j * k - w * i)
+        R[6, l], R[7, l], R[8, l] = r * (i * k - w * j), r * (j * k + w * i), 1.0 - r * (i * i + j * j)
+
+
+@njit(cache=True, error_model="numpy")
+def _quaternion_rotation(w, x, y, z, R, lane):
+    """Write the rotation of the quaternion (w, x, y, z), of any length, into a lane of R."""
+    r = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * r, x * r, y * r, z * r
+    R[0, lane], R[1, lane], R[2, lane] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    R[3, lane], R[4, lane], R[5, lane] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    R[6, lane], R[7, lane], R[8, lane] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@njit(cache=True, error_model="numpy")
+def _jacobi_rotation(F, R, lane):
+    """Write the closest rotation to one lane of F into that of R, by Jacobi's sweeps on N.
+
+    For the few N whose largest eigenvalue is all but double: any vector of its space is as good, and this finds one.
+    Where F is zero or not finite it is the identity.
+    """
+    largest = np.abs(F[:, lane]).max()
     if not (largest > 0.0) or not np.isfinite(largest):
-        R[:] = np.eye(3)
+        _quaternion_rotation(1.0, 0.0, 0.0, 0.0, R, lane)
         return
-    xx, xy, xz = F[0, 0] / largest, F[0, 1] / largest, F[0, 2] / largest
-    yx, yy, yz = F[1, 0] / largest, F[1, 1] / largest, F[1, 2] / largest
-    zx, zy, zz = F[2, 0] / largest, F[2, 1] / largest, F[2, 2] / largest
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = F[0:3, lane] / largest, F[3:6, lane] / largest, F[6:9, lane] / largest
     n00, n11, n22, n33 = xx + yy + zz, xx - yy - zz, yy - xx - zz, zz - xx - yy
     n01, n02, n03 = zy - yz, xz - zx, yx - xy
     n12, n13, n23 = xy + yx, xz + zx, yz + zy
-    square = xx * xx + xy * xy + xz * xz + yx * yx + yy * yy + yz * yz + zx * zx + zy * zy + zz * zz
-    det = xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx)
-    # det N from the 2 x 2 minors of its first two rows (b) and of its last two (a)
-    a01, a02, a03 = n02 * n13 - n12 * n03, n02 * n23 - n22 * n03, n02 * n33 - n23 * n03
-    a12, a13, a23 = n12 * n23 - n22 * n13, n12 * n33 - n23 * n13, n22 * n33 - n23 * n23
-    b01, b02, b03 = n00 * n11 - n01 * n01, n00 * n12 - n02 * n01, n00 * n13 - n03 * n01
-    b12, b13, b23 = n01 * n12 - n02 * n11, n01 * n13 - n03 * n11, n02 * n13 - n03 * n12
-    c0 = b01 * a23 - b02 * a13 + b03 * a12 + b12 * a03 - b13 * a02 + b23 * a01
-    root = _largest_root(-2.0 * square, -8.0 * det, c0, np.sqrt(3.0 * square))
-    if not _null_rotation(n00 - root, n11 - root, n22 - root, n33 - root, n01, n02, n03, n12, n13, n23, root, R):
-        _jacobi_rotation(n00, n11, n22, n33, n01, n02, n03, n12, n13, n23, R)
-
-
-@njit(cache=True, error_model="numpy")
-def _null_rotation(m00, m11, m22, m33, m01, m02, m03, m12, m13, m23, root, R):
-    """Write the rotation of the null vector of the symmetric 4 x 4 matrix m into R; False where it is ill defined.
-
-    The adjugate of a matrix of rank three is q q^T times a number: the row of its largest diagonal entry is q.
-    """
-    a02, a03 = m02 * m23 - m22 * m03, m02 * m33 - m23 * m03
-    a12, a13, a23 = m12 * m23 - m22 * m13, m12 * m33 - m23 * m13, m22 * m33 - m23 * m23
-    b01, b02, b03 = m00 * m11 - m01 * m01, m00 * m12 - m02 * m01, m00 * m13 - m03 * m01
-    b12, b13, b23 = m01 * m12 - m02 * m11, m01 * m13 - m03 * m11, m02 * m13 - m03 * m12
-    d0, d1 = m11 * a23 - m12 * a13 + m13 * a12, m00 * a23 - m02 * a03 + m03 * a02
-    d2, d3 = m03 * b13 - m13 * b03 + m33 * b01, m02 * b12 - m12 * b02 + m22 * b01
-    best = max(abs(d0), abs(d1), abs(d2), abs(d3))
-    if not best > _SEPARATED * root * root * root:
-        return False
-    q01, q23 = m02 * a13 - m01 * a23 - m03 * a12, m12 * b03 - m02 * b13 - m23 * b01
-    q02, q03 = m13 * b23 - m23 * b13 + m33 * b12, m22 * b13 - m12 * b23 - m23 * b12
-    q12, q13 = m23 * b03 - m03 * b23 - m33 * b02, m02 * b23 - m22 * b03 + m23 * b02
-    if best == abs(d0):
-        w, x, y, z = d0, q01, q02, q03
-    elif best == abs(d1):
-        w, x, y, z = q01, d1, q12, q13
-    elif best == abs(d2):
-        w, x, y, z = q02, q12, d2, q23
-    else:
-        w, x, y, z = q03, q13, q23, d3
-    _quaternion_rotation(w, x, y, z, R)
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _quaternion_rotation(w, x, y, z, R):
-    """Write the rotation of the quaternion (w, x, y, z), of any length, into R."""
-    r = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w * r, x * r, y * r, z * r
-    R[0, 0], R[0, 1], R[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    R[1, 0], R[1, 1], R[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    R[2, 0], R[2, 1], R[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-
-
-@njit(cache=True, error_model="numpy")
-def _jacobi_rotation(n00, n11, n22, n33, n01, n02, n03, n12, n13, n23, R):
-    """Write the rotation of an eigenvector of the largest eigenvalue of N into R, by Jacobi's sweeps.
-
-    For the few N whose largest eigenvalue is all but double: any vector of its space is as good, and this finds one.
-    """
     A = np.array([[n00, n01, n02, n03], [n01, n11, n12, n13], [n02, n12, n22, n23], [n03, n13, n23, n33]])
     Q = np.eye(4)
     for _ in range(_SWEEPS):
@@ -131,83 +154,120 @@ def _jacobi_rotation(n00, n11, n22, n33, n01, n02, n03, n12, n13, n23, R):
     for k in range(1, 4):
         if A[k, k] > A[best, best]:
             best = k
-    _quaternion_rotation(Q[0, best], Q[1, best], Q[2, best], Q[3, best], R)
+    _quaternion_rotation(Q[0, best], Q[1, best], Q[2, best], Q[3, best], R, lane)
 
 
 @njit(cache=True, error_model="numpy")
-def polar_rotations(F):
-    """Return the closest rotation to each F (e, 3, 3)."""
-    R = np.empty_like(F)
-    for e in range(len(F)):
-        polar_rotation(F[e], R[e])
-    return R
+def _polar(F, count, R, root, good, C):
+    """Write the closest rotations to the first `count` lanes of F (9, LANES) into R; the rest is scratch."""
+    _quartics(F, C)
+    _largest_roots(C, root)
+    _null_rotations(F, C, root, R, good)
+    for l in range(count):
+        if good[l] == 0.0:
+            _jacobi_rotation(F, R, l)
 
 
 @njit(cache=True, error_model="numpy")
-def _gradient(x, cell, G, F):
-    """Write F = sum_a x_a (x) grad N_a of one cell into F (3, 3)."""
-    for i in range(3):
-        for j in range(3):
-            F[i, j] = (
-                x[cell[0], i] * G[0, j] + x[cell[1], i] * G[1, j] + x[cell[2], i] * G[2, j] + x[cell[3], i] * G[3, j]
-            )
+def _scratch():
+    """Return what _polar needs beside F and R: root, good, C."""
+    return np.zeros(LANES), np.zeros(LANES), np.zeros((3, LANES))
 
 
 @njit(cache=True, error_model="numpy")
-def _rotated_stress(F, R, mu, lam, T):
-    """Write T = 2 mu e + lam tr(e) I into T (3, 3), e = sym(R^T F) - I; return tr(e T) / 2, the energy density."""
-    for i in range(3):
-        for j in range(3):
-            T[i, j] = R[0, i] * F[0, j] + R[1, i] * F[1, j] + R[2, i] * F[2, j]
-    e00, e11, e22 = T[0, 0] - 1.0, T[1, 1] - 1.0, T[2, 2] - 1.0
-    e01, e02, e12 = (T[0, 1] + T[1, 0]) / 2, (T[0, 2] + T[2, 0]) / 2, (T[1, 2] + T[2, 1]) / 2
-    pressure = lam * (e00 + e11 + e22)
-    T[0, 0], T[1, 1], T[2, 2] = 2 * mu * e00 + pressure, 2 * mu * e11 + pressure, 2 * mu * e22 + pressure
-    T[0, 1] = T[1, 0] = 2 * mu * e01
-    T[0, 2] = T[2, 0] = 2 * mu * e02
-    T[1, 2] = T[2, 1] = 2 * mu * e12
-    squares = e00 * e00 + e11 * e11 + e22 * e22 + 2 * (e01 * e01 + e02 * e02 + e12 * e12)
-    return mu * squares + pressure * (e00 + e11 + e22) / 2
+def _load(A, first, count, lanes):
+    """Copy A[first : first + count] (…, 3, 3) into lanes (9, LANES)."""
+    for l in range(count):
+        for i in range(3):
+            for j in range(3):
+                lanes[3 * i + j, l] = A[first + l, i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def _store(lanes, first, count, A):
+    """Copy lanes (9, LANES) into A[first : first + count] (…, 3, 3)."""
+    for l in range(count):
+        for i in range(3):
+            for j in range(3):
+                A[first + l, i, j] = lanes[3 * i + j, l]
+
+
+@njit(cache=True, error_model="numpy")
+def polar_rotations(A, R):
+    """Write the closest rotation to each A (e, 3, 3) into R, which may be A itself."""
+    F, Q = np.zeros((9, LANES)), np.zeros((9, LANES))
+    root, good, C = _scratch()
+    for first in range(0, len(A), LANES):
+        count = min(LANES, len(A) - first)
+        _load(A, first, count, F)
+        _polar(F, count, Q, root, good, C)
+        _store(Q, first, count, R)
+
+
+@njit(cache=True, error_model="numpy")
+def _gradients(x, cells, G, first, count, F):
+    """Write F = sum_a (x_a - x_0) (x) grad N_a of `count` cells from `first` on into F (9, LANES)."""
+    for l in range(count):
+        e = first + l
+        for i in range(3):
+            x0 = x[cells[e, 0], i]
+            x1, x2, x3 = x[cells[e, 1], i] - x0, x[cells[e, 2], i] - x0, x[cells[e, 3], i] - x0
+            for j in range(3):
+                F[3 * i + j, l] = x1 * G[e, 0, j] + x2 * G[e, 1, j] + x3 * G[e, 2, j]
+
+
+@njit(cache=True, error_model="numpy")
+def _stresses(F, R, mu, lam, P, W):
+    """Write P = R (2 mu e + lam tr(e) I), e = sym(R^T F) - I, into P (9, LANES) and the energy densities into W."""
+    for l in range(LANES):
+        e00 = R[0, l] * F[0, l] + R[3, l] * F[3, l] + R[6, l] * F[6, l] - 1.0
+        e11 = R[1, l] * F[1, l] + R[4, l] * F[4, l] + R[7, l] * F[7, l] - 1.0
+        e22 = R[2, l] * F[2, l] + R[5, l] * F[5, l] + R[8, l] * F[8, l] - 1.0
+        t01 = R[0, l] * F[1, l] + R[3, l] * F[4, l] + R[6, l] * F[7, l]
+        t02 = R[0, l] * F[2, l] + R[3, l] * F[5, l] + R[6, l] * F[8, l]
+        t12 = R[1, l] * F[2, l] + R[4, l] * F[5, l] + R[7, l] * F[8, l]
+        t10 = R[1, l] * F[0, l] + R[4, l] * F[3, l] + R[7, l] * F[6, l]
+        t20 = R[2, l] * F[0, l] + R[5, l] * F[3, l] + R[8, l] * F[6, l]
+        t21 = R[2, l] * F[1, l] + R[5, l] * F[4, l] + R[8, l] * F[7, l]
+        pressure = lam * (e00 + e11 + e22)
+        s00, s11, s22 = 2 * mu * e00 + pressure, 2 * mu * e11 + pressure, 2 * mu * e22 + pressure
+        s01, s02, s12 = mu * (t01 + t10), mu * (t02 + t20), mu * (t12 + t21)
+        W[l] = 0.5 * (s00 * e00 + s11 * e11 + s22 * e22 + s01 * (t01 + t10) + s02 * (t02 + t20) + s12 * (t12 + t21))
+        for i in range(0, 9, 3):
+            r0, r1, r2 = R[i, l], R[i + 1, l], R[i + 2, l]
+            P[i, l] = r0 * s00 + r1 * s01 + r2 * s02
+            P[i + 1, l] = r0 * s01 + r1 * s11 + r2 * s12
+            P[i + 2, l] = r0 * s02 + r1 * s12 + r2 * s22
 
 
 @njit(cache=True, error_model="numpy")
 def energy(x, cells, G, V, mu, lam):
     """Return sum V W(F) with the polar rotations."""
-    F, R, T = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    F, R, P, W = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros(LANES)
+    root, good, C = _scratch()
     total = 0.0
-    for e in range(len(cells)):
-        _gradient(x, cells[e], G[e], F)
-        polar_rotation(F, R)
-        total += V[e] * _rotated_stress(F, R, mu, lam, T)
+    for first in range(0, len(cells), LANES):
+        count = min(LANES, len(cells) - first)
+        _gradients(x, cells, G, first, count, F)
+        _polar(F, count, R, root, good, C)
+        _stresses(F, R, mu, lam, P, W)
+        for l in range(count):
+            total += V[first + l] * W[l]
     return total
 
 
 @njit(cache=True, error_model="numpy")
-def force(x, cells, G, V, mu, lam, f):
-    """Write f_a = -sum V P grad N_a into f (n, 3), P = R T with the polar rotations."""
-    f[:] = 0.0
-    F, R, T = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    for e in range(len(cells)):
-        _gradient(x, cells[e], G[e], F)
-        polar_rotation(F, R)
-        _rotated_stress(F, R, mu, lam, T)
-        _scatter_force(cells[e], G[e], V[e], R, T, f)
-
-
-@njit(cache=True, error_model="numpy")
-def _scatter_force(cell, G, volume, R, T, f):
-    """Add -V R T grad N_a to the forces of the cell's corners; they sum to zero."""
+def _scatter_force(cell, G, volume, P, lane, f):
+    """Add -V P grad N_a to the forces of the cell's corners; they sum to zero."""
     last0 = last1 = last2 = 0.0
-    for a in range(1, 4):
-        t0 = T[0, 0] * G[a, 0] + T[0, 1] * G[a, 1] + T[0, 2] * G[a, 2]
-        t1 = T[1, 0] * G[a, 0] + T[1, 1] * G[a, 1] + T[1, 2] * G[a, 2]
-        t2 = T[2, 0] * G[a, 0] + T[2, 1] * G[a, 1] + T[2, 2] * G[a, 2]
-        p0 = volume * (R[0, 0] * t0 + R[0, 1] * t1 + R[0, 2] * t2)
-        p1 = volume * (R[1, 0] * t0 + R[1, 1] * t1 + R[1, 2] * t2)
-        p2 = volume * (R[2, 0] * t0 + R[2, 1] * t1 + R[2, 2] * t2)
-        f[cell[a], 0] -= p0
-        f[cell[a], 1] -= p1
-        f[cell[a], 2] -= p2
+    for a in range(3):
+        p0 = volume * (P[0, lane] * G[a, 0] + P[1, lane] * G[a, 1] + P[2, lane] * G[a, 2])
+        p1 = volume * (P[3, lane] * G[a, 0] + P[4, lane] * G[a, 1] + P[5, lane] * G[a, 2])
+        p2 = volume * (P[6, lane] * G[a, 0] + P[7, lane] * G[a, 1] + P[8, lane] * G[a, 2])
+        node = cell[a + 1]
+        f[node, 0] -= p0
+        f[node, 1] -= p1
+        f[node, 2] -= p2
         last0, last1, last2 = last0 + p0, last1 + p1, last2 + p2
     f[cell[0], 0] += last0
     f[cell[0], 1] += last1
@@ -215,53 +275,97 @@ def _scatter_force(cell, G, volume, R, T, f):
 
 
 @njit(cache=True, error_model="numpy")
-def _scatter_stiffness(G, volume, R, mu, lam, pairs, K):
-    """Add V (mu (G_a . G_b) I + mu g_b g_a^T + lam g_a g_b^T), g = R G, to the blocks named by pairs (4, 4)."""
-    g = np.empty((4, 3))
-    for a in range(4):
-        for i in range(3):
-            g[a, i] = R[i, 0] * G[a, 0] + R[i, 1] * G[a, 1] + R[i, 2] * G[a, 2]
-    vm, vl = volume * mu, volume * lam
-    for a in range(4):
-        for b in range(a, 4):
-            block, mirror = K[pairs[a, b]], K[pairs[b, a]]
-            dot = vm * (G[a, 0] * G[b, 0] + G[a, 1] * G[b, 1] + G[a, 2] * G[b, 2])
-            for i in range(3):
-                for k in range(3):
-                    value = vm * g[b, i] * g[a, k] + vl * g[a, i] * g[b, k]
-                    if i == k:
-                        value += dot
-                    block[i, k] += value
-                    if a != b:
-                        mirror[k, i] += value
-
-
-@njit(cache=True, error_model="numpy")
-def linearise(x, cells, G, V, mu, lam, pairs, given, R, f, K):
-    """Write forces f (n, 3) and blocks K (blocks, 3, 3), frozen tangent; R (e, 3, 3) is read if given, else written."""
+def force(x, cells, G, V, mu, lam, f):
+    """Write f_a = -sum V P grad N_a into f (n, 3), with the polar rotations."""
     f[:] = 0.0
-    K[:] = 0.0
-    F, T = np.empty((3, 3)), np.empty((3, 3))
-    for e in range(len(cells)):
-        _gradient(x, cells[e], G[e], F)
-        if not given:
-            polar_rotation(F, R[e])
-        _rotated_stress(F, R[e], mu, lam, T)
-        _scatter_force(cells[e], G[e], V[e], R[e], T, f)
-        _scatter_stiffness(G[e], V[e], R[e], mu, lam, pairs[e], K)
+    F, R, P, W = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros(LANES)
+    root, good, C = _scratch()
+    for first in range(0, len(cells), LANES):
+        count = min(LANES, len(cells) - first)
+        _gradients(x, cells, G, first, count, F)
+        _polar(F, count, R, root, good, C)
+        _stresses(F, R, mu, lam, P, W)
+        for l in range(count):
+            _scatter_force(cells[first + l], G[first + l], V[first + l], P, l, f)
 
 
 @njit(cache=True, error_model="numpy")
-def nodal_rotations(x, cells, G, V, sums, R):
-    """Write into R (n, 3, 3) the polar rotation of each node's sum of V F, held in sums (n, 3, 3)."""
-    sums[:] = 0.0
-    F = np.empty((3, 3))
-    for e in range(len(cells)):
-        _gradient(x, cells[e], G[e], F)
-        for a in range(4):
-            node = sums[cells[e, a]]
-            for i in range(3):
-                for j in range(3):
-                    node[i, j] += V[e] * F[i, j]
-    for n in range(len(sums)):
-        polar_rotation(sums[n], R[n])
+def _scatter_stiffness(G, vm, vl, R, lane, blocks, g, A):
+    """Add vm (G_a . G_b) I + vm g_b g_a^T + vl g_a g_b^T, g = R G, to the ten blocks (a, b <= a) of a cell."""
+    for i in range(3):
+        r0, r1, r2 = R[3 * i, lane], R[3 * i + 1, lane], R[3 * i + 2, lane]
+        for a in range(3):
+            g[a + 1, i] = r0 * G[a, 0] + r1 * G[a, 1] + r2 * G[a, 2]
+        g[0, i] = -(g[1, i] + g[2, i] + g[3, i])
+    k = 0
+    for a in range(4):
+        m0, m1, m2 = vm * g[a, 0], vm * g[a, 1], vm * g[a, 2]
+        l0, l1, l2 = vl * g[a, 0], vl * g[a, 1], vl * g[a, 2]
+        for b in range(a + 1):
+            b0, b1, b2 = g[b, 0], g[b, 1], g[b, 2]
+            dot = m0 * b0 + m1 * b1 + m2 * b2
+            block = A[blocks[k]]
+            k += 1
+            block[0, 0] += dot + (m0 + l0) * b0
+            block[0, 1] += b0 * m1 + l0 * b1
+            block[0, 2] += b0 * m2 + l0 * b2
+            block[1, 0] += b1 * m0 + l1 * b0
+            block[1, 1] += dot + (m1 + l1) * b1
+            block[1, 2] += b1 * m2 + l1 * b2
+            block[2, 0] += b2 * m0 + l2 * b0
+            block[2, 1] += b2 * m1 + l2 * b1
+            block[2, 2] += dot + (m2 + l2) * b2
+
+
+@njit(cache=True, error_model="numpy")
+def linearise(x, cells, G, V, mu, lam, pairs, scale, given, Rs, f, A):
+    """Write forces into f (n, 3), add scale times the frozen stiffness to A (blocks, 3, 3).
+
+    The rotations are Rs (e, 3, 3) if given, else the polar ones of x.
+    """
+    f[:] = 0.0
+    F, R, P, W = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros(LANES)
+    root, good, C = _scratch()
+    g = np.empty((4, 3))
+    for first in range(0, len(cells), LANES):
+        count = min(LANES, len(cells) - first)
+        _gradients(x, cells, G, first, count, F)
+        if given:
+            _load(Rs, first, count, R)
+        else:
+            _polar(F, count, R, root, good, C)
+        _stresses(F, R, mu, lam, P, W)
+        for l in range(count):
+            e = first + l
+            _scatter_force(cells[e], G[e], V[e], P, l, f)
+            _scatter_stiffness(G[e], scale * V[e] * mu, scale * V[e] * lam, R, l, pairs[e], g, A)
+
+
+@njit(cache=True, error_model="numpy")
+def rotations(x, cells, G, R):
+    """Write the polar rotation of every cell's F into R (e, 3, 3)."""
+    F, Q = np.zeros((9, LANES)), np.zeros((9, LANES))
+    root, good, C = _scratch()
+    for first in range(0, len(cells), LANES):
+        count = min(LANES, len(cells) - first)
+        _gradients(x, cells, G, first, count, F)
+        _polar(F, count, Q, root, good, C)
+        _store(Q, first, count, R)
+
+
+@njit(cache=True, error_model="numpy")
+def nodal_rotations(x, cells, G, V, R):
+    """Write into R (n, 3, 3) the polar rotation of each node's sum of V F."""
+    R[:] = 0.0
+    F = np.zeros((9, LANES))
+    for first in range(0, len(cells), LANES):
+        count = min(LANES, len(cells) - first)
+        _gradients(x, cells, G, first, count, F)
+        for l in range(count):
+            e = first + l
+            for a in range(4):
+                node = R[cells[e, a]]
+                for i in range(3):
+                    for j in range(3):
+                        node[i, j] += V[e] * F[3 * i + j, l]
+    polar_rotations(R, R)

@@ -41,9 +41,9 @@ def lowest_frequencies(body: Body, count: int = 1) -> tuple[Floats, Floats]:
 
 
 def _free_matrices(body: Body) -> tuple[csc_array, csc_array]:
-    pattern, blocks = body.free_pattern
+    pattern = body.free_pattern
     _, K = body.linearise(body.mesh.points)
-    return csc_array(pattern.matrix(K[blocks])), csc_array(pattern.matrix(body.mass[blocks]))
+    return csc_array(pattern.matrix(K[: pattern.blocks])), csc_array(pattern.matrix(body.mass[: pattern.blocks]))
 
 
 def _dense(K: csc_array, M: csc_array) -> tuple[Floats, Floats]:

@@ -31,7 +31,9 @@ def polar(F: Floats) -> Floats:
         return _planar(A[..., 0, 0] + A[..., 1, 1], A[..., 1, 0] - A[..., 0, 1])
     from pipeline.fem.kernels import polar_rotations
 
-    return np.asarray(polar_rotations(np.ascontiguousarray(F)))
+    R = np.empty(F.shape)
+    polar_rotations(np.ascontiguousarray(F), R)
+    return R
 
 
 def polar_by_svd(F: Floats) -> Floats:

@@ -12,11 +12,11 @@ from pipeline.campaign import run_campaign
 from pipeline.case import load_case
 from pipeline.errors import SolveError
 from pipeline.reproduction.measured import Scene, scene_of
-from pipeline.reproduction.page import html, markdown
 from pipeline.reproduction.published import AS_PRINTED, PLANAR_SCENE, SCENES
 from pipeline.reproduction.report import KINDS, Report, make_report
 from pipeline.sinks.atomic import write_whole
 from pipeline.variant_run import Notify
+from pipeline.views.blocks import html, markdown
 
 ALL_SCENES = (*(name + ending for name in SCENES for ending in (AS_PRINTED, "")), PLANAR_SCENE)
 

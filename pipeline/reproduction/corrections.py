@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.build import Problem
 from pipeline.fem.modes import lowest_frequencies
-from pipeline.mesh.simplex import Floats, Ints
+from pipeline.mesh.simplex import Floats, Ints, Mesh
 from pipeline.reproduction.printed import force_6_12, step_4_48, stiffness_4_30, stiffness_4_32
 from pipeline.reproduction.published import CORRECTIONS, Correction
 
@@ -34,9 +34,15 @@ class Dense:
 
     def restricted(self, blocks: Floats) -> Floats:
         """Return the assembled matrix (k, k) of the cells' matrices (e, 4, 3, 4, 3)."""
-        body = self.problem.body
-        K = body.pattern.matrix(body.assembly.sum_blocks(blocks)).toarray()
-        return np.asarray(K[np.ix_(self.free, self.free)])
+        return assembled(self.problem.body.mesh, blocks)[np.ix_(self.free, self.free)]
+
+
+def assembled(mesh: Mesh, blocks: Floats) -> Floats:
+    """Return the whole matrix (n d, n d) of the cells' (e, 4, 3, 4, 3), which as printed are not symmetric."""
+    dofs = (3 * mesh.cells[:, :, None] + np.arange(3)).reshape(len(mesh.cells), 12)
+    K = np.zeros((mesh.points.size, mesh.points.size))
+    np.add.at(K, (dofs[:, :, None], dofs[:, None, :]), blocks.reshape(-1, 12, 12))
+    return K
 
 
 def dense(problem: Problem) -> Dense:
@@ -120,7 +126,7 @@ def rest_force(problem: Problem) -> tuple[Numbers, Numbers]:
     """Return the numbers of T 6.12 to 6.16: residual at rest without loads, its share of -2 K x, the first step."""
     system, body = dense(problem), problem.body
     blocks = stiffness_4_30(body.mesh, body.material, corrected=True)
-    whole = body.pattern.matrix(body.assembly.sum_blocks(blocks)).toarray()
+    whole = assembled(body.mesh, blocks)
     x = body.mesh.points.ravel()
     f_0 = whole @ x
     K, found = system.restricted(blocks), []

@@ -14,7 +14,6 @@ from pipeline.reproduction.damping import mode_damping
 from pipeline.reproduction.figures import law_figure, states_figure
 from pipeline.reproduction.law import Growth, band, linear_growth, step_growth
 from pipeline.reproduction.measured import Outcome, Scene
-from pipeline.reproduction.page import Block, Heading, Paragraph, Picture, Table
 from pipeline.reproduction.published import (
     AS_PRINTED,
     FIGURES,
@@ -29,6 +28,7 @@ from pipeline.reproduction.published import (
 from pipeline.reproduction.verdicts import NOT_REPRODUCED, REPRODUCED, Finding, find, outcome
 from pipeline.series import Series, read_series
 from pipeline.version import VERSION
+from pipeline.views.blocks import Block, Heading, Paragraph, Picture, Table
 
 LINEAR_ABOVE, STEP_ABOVE = 10.0, 10.0  # degrees: below, strain outweighs what the rotation adds
 

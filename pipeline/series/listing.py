@@ -63,11 +63,11 @@ def listing(path: Path, *, strict: bool) -> Listing:
 
 
 def _name(index: Path) -> tuple[str, Path]:
-    """Return what to call a series, and its folder: `series.pvd`, patterns and folders take the folder's name."""
+    """Return what to call a series, and its folder: our own indices, patterns and folders take the folder's name."""
     if index.is_dir():
         return index.resolve().name, index
     folder = index.parent
-    if index.suffix == ".pvd":
+    if index.suffix == ".pvd" or index.name == "series.vtkhdf":
         return folder.resolve().name, folder
     return (folder.resolve().name if has_magic(index.name) else index.name.split(".")[0]), folder
 
@@ -76,8 +76,9 @@ def _resolved(path: Path) -> Path:
     """Return the index in a folder where there is one, else the path itself."""
     if not path.is_dir():
         return path
-    if (path / "series.pvd").exists():
-        return path / "series.pvd"
+    for name in ("series.pvd", "series.vtkhdf"):
+        if (path / name).exists():
+            return path / name
     found = sorted(file for file in path.iterdir() if file.suffix in (*_INDICES, *_TEMPORAL))
     if len(found) > 1:
         raise SeriesError(f"{path}: holds several series, name one: {', '.join(file.name for file in found)}")

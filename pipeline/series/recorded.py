@@ -1,7 +1,7 @@
 """A recorded series of frames, replayed as Frames: what views and statistics read."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -37,6 +37,15 @@ class Series:
     def __iter__(self) -> Iterator[Frame]:
         return (self.frame(i) for i in range(len(self)))
 
+    def chosen(self, kept: Sequence[int]) -> "Series":
+        """Return the series of some of its frames, by their indices in increasing order."""
+        return replace(
+            self,
+            files=tuple(self.files[i] for i in kept),
+            times=tuple(self.times[i] for i in kept),
+            steps=tuple(self.steps[i] for i in kept) if self.steps else (),
+        )
+
     def grid(self, index: int) -> Grid:
         """Return what the files say of one frame, read now; raises SeriesError where it cannot be read."""
         return read_grid(self.files[index], self.steps[index] if self.steps else 0, ours=self.ours)
@@ -50,7 +59,8 @@ class Series:
         for name in grid.field_data.keys() & VARIABLES.keys():
             dims = VARIABLES[name].dims
             value = np.asarray(grid.field_data[name], dtype=np.float64)
-            if value.size == _LENGTHS.get(dims):  # a field of that name may be something else elsewhere
+            # a field of that name may be something else elsewhere
+            if dims == ("step",) or value.size == _LENGTHS.get(dims):
                 known[name] = value.reshape([-1] if dims else [])
         step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
         return Frame(index, self.times[index], self.mesh, x, step=step, v=self._velocity(grid), known=known)

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -97,4 +98,8 @@ def decoded(data: bytes) -> Checkpoint:
         memory = {name.removeprefix(_MEMORY): arrays[name] for name in arrays.files if name.startswith(_MEMORY)}
         state = State(numbers["step"], arrays["x"], arrays["v"], memory)
     summary = numbers["summary"]
-    return Checkpoint(state, Work(**numbers["work"]), RunSummary(**summary | {"work": Work(**summary["work"])}))
+    return Checkpoint(state, _work(numbers["work"]), RunSummary(**summary | {"work": _work(summary["work"])}))
+
+
+def _work(numbers: dict[str, Any]) -> Work:
+    return Work(**numbers | {"history": tuple(tuple(step) for step in numbers["history"])})

@@ -31,11 +31,20 @@ class NetcdfSink:
                 _keep_little(self._dataset)
             self._dataset["time"][self._count] = frame.time
             for name, value in measured.items():
-                self._dataset[name][self._count] = value
+                if VARIABLES[name].dims != ("step",):
+                    self._dataset[name][self._count] = value
+            self._write_steps(frame.step or 0, measured)
             self._dataset.sync()
         except (OSError, RuntimeError) as error:
             raise OutputError(f"{self.path}: cannot be written ({error})") from error
         self._count += 1
+
+    def _write_steps(self, last: int, measured: Values) -> None:
+        """Append what is known of the steps since the frame before; none has led to the first frame."""
+        for name, value in measured.items() if last else ():
+            if VARIABLES[name].dims == ("step",):
+                self._dataset[name][last - len(value) : last] = value
+                self._dataset["step"][last - len(value) : last] = np.arange(last - len(value), last) + 1
 
     def _opened(self, mesh: Mesh, measured: Values) -> Any:
         if self._count:
@@ -70,6 +79,8 @@ def _created(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
     out.Conventions = "CF-1.11"
     out.title = title
     sizes = {"time": None, "cell": len(mesh.cells), "axis": 3, "quantile": len(QUANTILES)}
+    if any(VARIABLES[name].dims == ("step",) for name in measured):
+        sizes["step"] = None
     for name, size in sizes.items():
         out.createDimension(name, size)
     made = {
@@ -83,9 +94,14 @@ def _created(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
     made["rest_volume"][:] = mesh.rest_volumes
     for name in measured:
         variable = VARIABLES[name]
+        if variable.dims == ("step",):
+            made[name] = out.createVariable(name, "f8", ("step",), chunksizes=(_SCALAR_CHUNK,))
+            continue
         lengths = [sizes[dim] or 1 for dim in variable.dims]
         chunks = (1 if "cell" in variable.dims else _SCALAR_CHUNK, *lengths)
         made[name] = out.createVariable(name, "f8", ("time", *variable.dims), chunksizes=chunks)
+    if "step" in sizes:
+        made["step"] = out.createVariable("step", "i8", ("step",), chunksizes=(_SCALAR_CHUNK,))
     for name, one in made.items():
         one.setncatts(attributes(name, mesh.dimension))
     made["time"].axis = "T"

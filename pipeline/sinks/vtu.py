@@ -1,40 +1,47 @@
 """ParaView files: a .vtu a frame, inline base64 with zlib, and a .pvd index with the true times.
 
-Points are where the body is NOW; `displacement` and `rest_position` lead back. Appended data is never written: the
-ParaView of several distributions cannot read it.
+Appended data is never written: the ParaView of several distributions cannot read it. What the frames share (cells,
+rest positions) is compressed once and well, the rest quickly: the low digits of a number do not compress.
 """
 
 import time
-from collections.abc import Sequence
+import zlib
+from base64 import b64encode
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.errors import OutputError
 from pipeline.frame import Frame, Values
-from pipeline.measures import VARIABLES, spatial
-from pipeline.mesh.simplex import Mesh, signed_volumes
+from pipeline.mesh.simplex import Mesh
 from pipeline.sinks.atomic import write_whole
+from pipeline.sinks.fields import CELL_TYPES, Precision, frame_fields, rest_positions
 
-_VTK_TYPES = {2: 5, 3: 10}
+_TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "u1": "UInt8"}
 _INDEX_SECONDS = 1.0  # the index grows with the run; written every frame it would cost the square of it
 
 
 class VtuSink:
-    """Writes frames/frame_000000.vtu … and series.pvd into a folder, after frames of `earlier` times [s] there."""
+    """Writes frames/frame_000000.vtu … and series.pvd into a folder, after frames of `earlier` times [s] there.
 
-    def __init__(self, folder: Path, *, earlier: Sequence[float] = ()) -> None:
+    With `precision` "float32" the fields of nodes and cells take half the room; the dataset cannot be made from them.
+    """
+
+    def __init__(self, folder: Path, *, earlier: Sequence[float] = (), precision: Precision = "float64") -> None:
         self.folder = Path(folder)
         self.index = self.folder / "series.pvd"
-        self._listed = [(t, _file(index)) for index, t in enumerate(earlier)]
+        self.precision = precision
+        self._listed = [(t, frame_file(index)) for index, t in enumerate(earlier)]
         self._indexed = -np.inf
         self._mesh: Mesh | None = None
+        self._cells = self._rest = b""
 
     def write(self, frame: Frame, measured: Values) -> None:
         """Write one frame whole; the index follows within a second."""
-        name = _file(frame.index)
+        name = frame_file(frame.index)
         write_whole(self.folder / name, self._encoded(frame, measured))
         self._listed.append((frame.time, name))
         if time.monotonic() - self._indexed >= _INDEX_SECONDS:
@@ -49,25 +56,64 @@ class VtuSink:
         write_whole(self.index, pvd_text(self._listed))
         self._indexed = time.monotonic()
 
-    def _encoded(self, frame: Frame, measured: Values) -> str:
-        """Return the text of the frame's .vtu."""
-        from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
+    def _encoded(self, frame: Frame, measured: Values) -> bytes:
+        """Return the frame's .vtu."""
+        mesh = frame.mesh
+        if self._mesh is not mesh:
+            self._mesh, self._cells = mesh, _cells(mesh)
+            self._rest = _array("rest_position", rest_positions(mesh, self.precision), static=True)
+        fields = frame_fields(frame, measured, self.precision)
+        numbers = (_array(name, value, tuples=len(value)) for name, value in fields.numbers.items())
+        piece = f'<Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{len(mesh.cells)}">'
+        return b"".join(
+            (
+                _HEAD,
+                _element("FieldData", numbers),
+                piece.encode(),
+                _element("PointData", [*(_array(*one) for one in fields.nodal.items()), self._rest]),
+                _element("CellData", (_array(*one) for one in fields.cellular.items())),
+                _element("Points", [_array("Points", fields.points)]),
+                self._cells,
+                _TAIL,
+            )
+        )
 
-        if self._mesh is not frame.mesh:
-            self._mesh, self._grid = frame.mesh, _rest_grid(frame.mesh)
-        _fill(self._grid, frame, measured)
-        writer = vtkXMLUnstructuredGridWriter()
-        writer.SetInputData(self._grid)
-        writer.SetDataModeToBinary()
-        writer.SetCompressorTypeToZLib()
-        writer.SetCompressionLevel(1)
-        writer.SetWriteToOutputString(True)
-        if not writer.Write():
-            raise OutputError(f"{self.folder}: VTK could not encode frame {frame.index}")
-        return str(writer.GetOutputString())
+
+_HEAD = (
+    b'<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" '
+    b'header_type="UInt64" compressor="vtkZLibDataCompressor">\n<UnstructuredGrid>\n'
+)
+_TAIL = b"</Piece>\n</UnstructuredGrid>\n</VTKFile>\n"
 
 
-def _file(index: int) -> str:
+def _cells(mesh: Mesh) -> bytes:
+    e, corners = mesh.cells.shape
+    offsets = np.arange(corners, corners * e + 1, corners, dtype=np.int64)
+    types = np.full(e, CELL_TYPES[mesh.dimension], dtype=np.uint8)
+    named = {"connectivity": mesh.cells.ravel(), "offsets": offsets, "types": types}
+    return _element("Cells", (_array(*one, static=True) for one in named.items()))
+
+
+def _element(name: str, arrays: Iterable[bytes]) -> bytes:
+    return b"".join((f"<{name}>\n".encode(), *arrays, f"</{name}>\n".encode()))
+
+
+def _array(name: str, values: NDArray[Any], *, tuples: int | None = None, static: bool = False) -> bytes:
+    """Return a DataArray: one block of zlib behind a header of four numbers, each part in base64."""
+    kind = values.dtype.str[1:]
+    plain = np.ascontiguousarray(values, dtype=f"<{kind}").data.cast("B")
+    # runs and entropy alone: three times as fast on floats as level 1, files 3 % larger
+    compressor = zlib.compressobj(6) if static else zlib.compressobj(1, strategy=zlib.Z_RLE)
+    packed = compressor.compress(plain) + compressor.flush()
+    header = np.array([1, len(plain), 0, len(packed)], dtype="<u8").tobytes()
+    components = f' NumberOfComponents="{values.shape[1]}"' if values.ndim == 2 else ""
+    count = "" if tuples is None else f' NumberOfTuples="{tuples}"'
+    start = f'<DataArray type="{_TYPES[kind]}" Name={quoteattr(name)}{components}{count} format="binary">'
+    return b"".join((start.encode(), b64encode(header), b64encode(packed), b"</DataArray>\n"))
+
+
+def frame_file(index: int) -> str:
+    """Return the name of a frame's file, within the folder of the run."""
     return f"frames/frame_{index:06d}.vtu"
 
 
@@ -76,49 +122,3 @@ def pvd_text(listed: list[tuple[float, str]]) -> str:
     rows = [f"    <DataSet timestep={quoteattr(repr(t))} file={quoteattr(name)}/>" for t, name in listed]
     head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">'
     return "\n".join([head, "  <Collection>", *rows, "  </Collection>", "</VTKFile>", ""])
-
-
-def _rest_grid(mesh: Mesh) -> Any:
-    """Return an unstructured grid of the mesh's cells, its points to be filled."""
-    from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
-    from vtkmodules.vtkCommonCore import vtkPoints
-    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkUnstructuredGrid
-
-    e, corners = mesh.cells.shape
-    cells = vtkCellArray()
-    offsets = np.arange(0, corners * e + 1, corners, dtype=np.int64)
-    cells.SetData(numpy_to_vtkIdTypeArray(offsets, deep=True), numpy_to_vtkIdTypeArray(mesh.cells.ravel(), deep=True))
-    points = vtkPoints()
-    points.SetDataTypeToDouble()
-    points.SetData(numpy_to_vtk(spatial(mesh.points), deep=True))
-    grid = vtkUnstructuredGrid()
-    grid.SetPoints(points)
-    grid.SetCells(_VTK_TYPES[mesh.dimension], cells)
-    return grid
-
-
-def _fill(grid: Any, frame: Frame, measured: Values) -> None:
-    """Give the grid the positions and fields of a frame."""
-    from vtkmodules.util.numpy_support import numpy_to_vtk
-
-    mesh = frame.mesh
-    grid.GetPoints().SetData(numpy_to_vtk(spatial(frame.x), deep=True))
-    nodal = {"displacement": frame.x - mesh.points, "rest_position": mesh.points}
-    if frame.v is not None:
-        nodal["velocity"] = frame.v
-    cellular = {"volume": signed_volumes(frame.x, mesh.cells)}
-    numbers = {"TimeValue": np.asarray([frame.time])}
-    if frame.step is not None:
-        numbers["step"] = np.asarray([frame.step], dtype=np.int64)
-    for name, value in measured.items():
-        (cellular if VARIABLES[name].dims == ("cell",) else numbers)[name] = np.atleast_1d(value)
-    for data, arrays in (
-        (grid.GetPointData(), {name: spatial(value) for name, value in nodal.items()}),
-        (grid.GetCellData(), cellular),
-        (grid.GetFieldData(), numbers),
-    ):
-        for name, value in arrays.items():
-            # a vector of the whole body is one tuple of its components
-            one = numpy_to_vtk(np.atleast_2d(value) if data is grid.GetFieldData() else value, deep=True)
-            one.SetName(name)
-            data.AddArray(one)

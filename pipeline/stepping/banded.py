@@ -3,6 +3,8 @@
 No fill-in to find and nothing but dense arithmetic: the fastest factor of small meshes.
 """
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs, spbtrf
 from scipy.sparse import csr_array
@@ -19,16 +21,20 @@ class Band:
 
     def __init__(self, pattern: BlockPattern) -> None:
         d, n = pattern.dimension, pattern.nodes
-        graph = csr_array((np.ones(len(pattern.indices)), pattern.indices, pattern.indptr), shape=(n, n))
+        i, j = pattern.rows, pattern.indices
+        ones = np.ones(2 * len(i))
+        graph = csr_array((ones, (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n))
         self.order = reverse_cuthill_mckee(graph, symmetric_mode=True)
         place = np.empty(n, dtype=np.int64)
         place[self.order] = np.arange(n)
         axis = np.arange(d)
-        row = d * place[pattern.rows][:, None, None] + axis[:, None]
-        column = d * place[pattern.indices][:, None, None] + axis[None, :]
-        # entry (i, j) stands at [i - j, j]; column-major, as pbtrf wants it
-        self._taken = np.flatnonzero((row >= column).ravel())
+        row = d * place[i][:, None, None] + axis[:, None]
+        column = d * place[j][:, None, None] + axis[None, :]
+        # a block off the diagonal stands for its transpose too; of one on it the lower half is taken
+        self._taken = np.flatnonzero(((i != j)[:, None, None] | (row >= column)).ravel())
+        row, column = np.maximum(row, column), np.minimum(row, column)
         self.width, self.size = int((row - column).max()) + 1, d * n
+        # entry (i, j) stands at [i - j, j]; column-major, as pbtrf wants it
         self._target = ((row - column) + self.width * column).ravel()[self._taken]
 
     @property
@@ -38,24 +44,24 @@ class Band:
 
     def filled(self, values: Floats, into: np.ndarray) -> np.ndarray:
         """Write the values (blocks, d, d) into a band (size, width) and return it as LAPACK's (width, size)."""
-        flat = into.reshape(-1)
-        flat[:] = 0.0
-        flat[self._target] = values.reshape(-1)[self._taken]
+        from pipeline.stepping.kernels import fill
+
+        fill(values.reshape(-1), self._taken, self._target, into.reshape(-1))
         return into.T
 
     def factored(self, values: Floats, dtype: type) -> np.ndarray:
         """Return the Cholesky factor in a new band; raises SolveError where there is none."""
         return factored(self.filled(values, np.empty((self.size, self.width), dtype=dtype)))
 
-    def flat(self, b: np.ndarray) -> np.ndarray:
-        """Return b (n, d) as a vector in the band's order."""
-        return b[self.order].reshape(-1)
 
-    def ordered(self, x: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        """Return a vector in the band's order as (n, d) in the pattern's."""
-        out = np.empty(shape, dtype=x.dtype)
-        out[self.order] = x.reshape(shape)
-        return out
+_BANDS: WeakKeyDictionary[BlockPattern, Band] = WeakKeyDictionary()
+
+
+def band_of(pattern: BlockPattern) -> Band:
+    """Return the band of a pattern, found once."""
+    if pattern not in _BANDS:
+        _BANDS[pattern] = Band(pattern)
+    return _BANDS[pattern]
 
 
 def factored(band: np.ndarray) -> np.ndarray:
@@ -70,7 +76,7 @@ class BandedCholesky:
     """A factor of the band for every new matrix; positive definite ones only."""
 
     def __init__(self, pattern: BlockPattern, rtol: float = 0.0, rest: object = None) -> None:
-        self._band = Band(pattern)
+        self._band = band_of(pattern)
         self._storage = np.empty((self._band.size, self._band.width))
 
     def update(self, values: Floats, frames: object = None) -> Work:
@@ -80,5 +86,8 @@ class BandedCholesky:
 
     def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
         """Return the solution by substitution; the guess is not used."""
-        x, _ = dpbtrs(self._factor, self._band.flat(b), lower=1, overwrite_b=1)
-        return self._band.ordered(x, b.shape), Work(solves=1)
+        order = self._band.order
+        y, _ = dpbtrs(self._factor, b[order].ravel(), lower=1, overwrite_b=1)
+        x = np.empty_like(b)
+        x[order] = y.reshape(b.shape)
+        return x, Work(solves=1)

@@ -1,11 +1,13 @@
 r"""model = "auto": the cheapest rotations that a step can do with, by one number, tolerance, on spurious volume.
 
 A step's spurious volume is tan^2 of the angle between the rotation its solve USED and the rotation it REACHED:
-linear elasticity used I, one solve the rotations that it started from, a converged step those that it reaches. Hence
+linear elasticity used I, one solve the rotations that it started from, a converged step those that it reaches. In
+strained cells that turn, the stress that the solve balanced strays by more: the indicator (fem/turning.py) is the
+larger of the two, in the worst cell. Hence
 
-    use   I and the matrix factored at rest, while tan^2 of the present angles <= tolerance;  else the present rotations
+    use   I and the matrix factored at rest, while the present cells are that near to I;  else the present rotations
     solve the stage with them; look at the rotations reached
-    accept where max over cells of tan^2 angle(R_used, R_reached) <= tolerance;  else use those reached and solve again
+    accept where the indicator of (used, reached) <= tolerance;  else use those reached and solve again
     where that does not shrink, or a cell turned by 90 degrees and more, Newton's method finishes the step
 
 No accepted step has an indicator above the tolerance. It bounds volume, not phase: what damping a step has still
@@ -15,8 +17,7 @@ depends on how often it was solved.
 import numpy as np
 
 from pipeline.fem.body import Body
-from pipeline.fem.element import deformation_gradient
-from pipeline.fem.rotation import polar
+from pipeline.fem.turning import Turning
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping.implicit import FrozenPasses, Prefactored, Stage
 from pipeline.stepping.newton import Converged
@@ -28,7 +29,7 @@ _PASSES = 8
 
 
 class Auto:
-    """Solves stages to a tolerance on spurious volume."""
+    """Solves stages to a tolerance on spurious volume and stray stress."""
 
     def __init__(
         self, body: Body, linear: Prefactored, passes: FrozenPasses, newton: Converged, tolerance: float
@@ -38,44 +39,42 @@ class Auto:
         self.passes = passes
         self.newton = newton
         self.tolerance = tolerance
-        e, d = len(body.mesh.cells), body.mesh.dimension
-        self._unturned = np.broadcast_to(np.eye(d), (e, d, d))
+        self._unturned = np.eye(body.mesh.dimension)[None]
+        self._last = (np.empty((0, 0)), Turning(np.inf, None))  # positions and how far they are from unturned
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return the accepted velocity; work says which rung and indicator; raises SolveError where Newton does."""
         v, used, work = self._first(stage)
-        reached = self._rotations(stage.x_h + stage.h * v)
-        indicator = spurious_volume(used, reached)
+        turned = self._turning(stage.x_h + stage.h * v, used)
         for _ in range(_PASSES):
-            if indicator <= self.tolerance:
-                return v, work + Work(indicator=indicator)
-            v, done = self.passes.pass_from(stage.x_h, stage, reached)
+            if turned.indicator <= self.tolerance:
+                return v, work + Work(indicator=turned.indicator)
+            assert turned.reached is not None
+            used, before = turned.reached, turned.indicator
+            v, done = self.passes.pass_from(stage.x_h, stage, used)
             work += done + Work(rung=COROTATIONAL)
-            used, reached = reached, self._rotations(stage.x_h + stage.h * v)
-            before, indicator = indicator, spurious_volume(used, reached)
-            if not indicator <= max(self.tolerance, _SHRINKS * before):
+            turned = self._turning(stage.x_h + stage.h * v, used)
+            if not turned.indicator <= max(self.tolerance, _SHRINKS * before):
                 break
-        if indicator <= self.tolerance:
-            return v, work + Work(indicator=indicator)
+        if turned.indicator <= self.tolerance:
+            return v, work + Work(indicator=turned.indicator)
         v, done = self.newton.solve(stage)
         return v, work + done + Work(rung=CONVERGED)
 
     def _first(self, stage: Stage) -> tuple[Floats, Floats, Work]:
         """Return v of the first solve, the rotations it used, and its work."""
-        present = self._rotations(stage.start)
-        if spurious_volume(self._unturned, present) <= self.tolerance:
+        present = self._turning(stage.start, self._unturned)
+        if present.indicator <= self.tolerance:
             v, work = self.linear.solve(stage)
             return v, self._unturned, work + Work(rotations=1)
-        v, work = self.passes.pass_from(stage.x_h, stage, present)
-        return v, present, work + Work(rung=COROTATIONAL)
+        assert present.reached is not None
+        v, work = self.passes.pass_from(stage.x_h, stage, present.reached)
+        return v, present.reached, work + Work(rung=COROTATIONAL)
 
-    def _rotations(self, x: Floats) -> Floats:
-        return polar(deformation_gradient(self.body.mesh, x))
-
-
-def spurious_volume(used: Floats, reached: Floats) -> float:
-    """Return max over cells of tan^2 of the angle between two rotations (e, d, d); infinite from 90 degrees on."""
-    d = used.shape[-1]
-    trace = np.einsum("eij,eij->e", used, reached).min()
-    cosine = (trace - 1) / 2 if d == 3 else trace / 2
-    return float(1 / cosine**2 - 1) if cosine > 0 else np.inf
+    def _turning(self, x: Floats, used: Floats) -> Turning:
+        """Return how far x has turned from the rotations used; a step starts where the one before it was judged."""
+        if used is not self._unturned:
+            return self.body.turning(x, used)
+        if not np.array_equal(x, self._last[0]):
+            self._last = x, self.body.turning(x, used, self.tolerance)
+        return self._last[1]

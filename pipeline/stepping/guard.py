@@ -35,9 +35,9 @@ class Guarded:
         """Return the state dt later; raises SolveError where the energy has no source."""
         start, supplied, strikes = state.memory["guard"] if "guard" in state.memory else (self._energy(state), 0.0, 0.0)
         new, work = self.stepper.step(state)
-        supplied += self._supports_work(state, new)
+        supplied += supports_work(self.body, state, new, self.dt)
         from_loads = abs((self.body.load * (new.x - self.body.mesh.points)).sum())
-        bound = max(start + supplied + from_loads, self._natural_scale())
+        bound = max(start + supplied + from_loads, natural_energy(self.body))
         kinetic = self._kinetic(new)
         if kinetic > bound and kinetic + self.body.energy(new.x) > _FACTOR * bound:
             strikes += 1
@@ -59,16 +59,19 @@ class Guarded:
         from_loads = abs((self.body.load * (state.x - self.body.mesh.points)).sum())
         return self._kinetic(state) + self.body.energy(state.x) + float(from_loads)
 
-    def _natural_scale(self) -> float:
-        m = self.body.material
-        return _NATURAL_STRAIN**2 * (m.lam + 2 * m.mu) * float(self.body.mesh.rest_volumes.sum())
 
-    def _supports_work(self, old: State, new: State) -> float:
-        """Return |reaction . motion| of the held nodes in a step [J]; nothing is computed where none moves."""
-        held = self.body.supports.nodes
-        moved = new.x[held] - old.x[held]
-        if not self.body.supports.motions or not moved.any():
-            return 0.0
-        inertia = self.body.momentum(new.v - old.v)[held] / self.dt
-        reaction = inertia - self.body.force(new.x)[held] - self.body.load[held]
-        return float(np.abs((reaction * moved).sum(axis=1)).sum())
+def natural_energy(body: Body) -> float:
+    """Return the energy [J] below which a motion is rounding and noise to a user."""
+    m = body.material
+    return _NATURAL_STRAIN**2 * (m.lam + 2 * m.mu) * float(body.mesh.rest_volumes.sum())
+
+
+def supports_work(body: Body, old: State, new: State, dt: float) -> float:
+    """Return |reaction . motion| of the held nodes in a step [J]; nothing is computed where none moves."""
+    held = body.supports.nodes
+    moved = new.x[held] - old.x[held]
+    if not body.supports.motions or not moved.any():
+        return 0.0
+    inertia = body.momentum(new.v - old.v)[held] / dt
+    reaction = inertia - body.force(new.x)[held] - body.load[held]
+    return float(np.abs((reaction * moved).sum(axis=1)).sum())

@@ -20,6 +20,7 @@ from typing import Protocol
 import numpy as np
 
 from pipeline.fem.body import Body
+from pipeline.fem.laws import Tangent
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping.linear_solve import LinearSolver
 from pipeline.stepping.state import Work
@@ -49,31 +50,50 @@ class StageSolver(Protocol):
 
 
 class StageSystem:
-    """The linear systems (M + h^2 K) v = b of one body: held velocities moved to the right, free ones solved."""
+    """The linear systems of one body, linearised at positions x and solved for v - v*, v* = (x - x_h)/h.
+
+    A (v - v*) = M (v_h - v*) + h (f_ext + f_el(x)),    A = M + h^2 K(x)
+
+    is the equation above with h K (x_h - x) = -h^2 K v* brought to the left. The arrays A and f are made once.
+    """
 
     def __init__(self, body: Body, solver: LinearSolver) -> None:
         self.body = body
         self.solver = solver
-        self._free_blocks = body.free_pattern[1]
+        d = body.mesh.dimension
+        self.A = np.empty((body.pattern.blocks, d, d))
+        self.f = np.empty_like(body.mesh.points)
 
-    def update(self, K: Floats, h: float, x: Floats) -> Work:
-        """Take M + h^2 K, made at positions x (n, d), for the solves to come."""
-        self._values = self.body.mass + h**2 * K
-        body = self.body
-        return self.solver.update(self._values[self._free_blocks], lambda: body.nodal_rotations(x)[body.free])
+    def linearise(self, x: Floats, h: float, R: Floats | None = None, kind: Tangent = "frozen") -> Work:
+        """Take A and f_el at positions x (n, d) for the solves to come."""
+        self.body.system(x, h, self.f, self.A, R=R, kind=kind)
+        return self.take(x)
 
-    def solve(self, b: Floats, stage: Stage) -> tuple[Floats, Work]:
-        """Return v (n, d) with the held nodes' velocities as the stage gives them."""
+    def take(self, x: Floats) -> Work:
+        """Take A as it stands, made at positions x (n, d)."""
         body = self.body
-        held = body.supports.nodes
-        v = stage.v_h.copy()
-        v[held] = (stage.held - stage.x_h[held]) / stage.h
-        if np.any(v[held]):
-            known = np.zeros_like(v)
-            known[held] = v[held]
-            b = b - body.pattern.product(self._values, known)
-        v[body.free], work = self.solver.solve(b[body.free], v[body.free])
-        return v, work
+        return self.solver.update(self.A[: body.free_pattern.blocks], lambda: body.nodal_rotations(x)[body.free])
+
+    def solve(self, b: Floats, held: Floats, guess: Floats) -> tuple[Floats, Work]:
+        """Return w (n, d) with A w = b on the free nodes and w = held (k, d) on the others; b may change."""
+        body = self.body
+        w = np.zeros_like(b)
+        if held.any():
+            w[body.supports.nodes] = held
+            b -= self._product(w)
+        w[body.free], work = self.solver.solve(b[body.free], guess[body.free])
+        return w, work
+
+    def _product(self, w: Floats) -> Floats:
+        """Return A w (n, d)."""
+        pattern, out = self.body.pattern, np.empty_like(w)
+        out[pattern.order] = pattern.product(self.A, w[pattern.order], np.empty_like(w))
+        return out
+
+
+def _held_velocity(stage: Stage, body: Body) -> Floats:
+    """Return the velocities (k, d) that the stage gives the held nodes."""
+    return (stage.held - stage.x_h[body.supports.nodes]) / stage.h
 
 
 class Prefactored:
@@ -82,18 +102,28 @@ class Prefactored:
     def __init__(self, body: Body, solver: LinearSolver, h: float) -> None:
         self.body = body
         self.system = StageSystem(body, solver)
+        self._order = body.pattern.order
+        self._u, self._Ku = np.empty_like(body.mesh.points), np.empty_like(body.mesh.points)
         _, self.K = body.linearise(body.mesh.points)
-        self.setup = self.system.update(self.K, h, body.mesh.points)
+        self.system.A[:] = body.mass + h**2 * self.K
+        self.setup = self.system.take(body.mesh.points)
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v of the one linear system; the linearisation at x_h is exact."""
-        # f_el = -K u; the same sum as body.force(x_h), without visiting a cell
-        f = -self.body.pattern.product(self.K, stage.x_h - self.body.mesh.points)
-        b = self.body.momentum(stage.v_h) + stage.h * (self.body.load + f)
-        v, work = self.system.solve(b, stage)
+        body = self.body
+        b = body.momentum(stage.v_h)
+        b += stage.h * (body.load + self._force(stage.x_h))
+        v, work = self.system.solve(b, _held_velocity(stage, body), stage.v_h)
         work += Work(iterations=1) + self.setup
         self.setup = Work()
         return v, work
+
+    def _force(self, x: Floats) -> Floats:
+        """Return f_el = -K (x - X) (n, d): the same sum as body.force(x), without visiting a cell."""
+        np.subtract(x[self._order], self.body.mesh.points[self._order], out=self._u)
+        f = np.empty_like(x)
+        f[self._order] = self.body.pattern.product(self.K, self._u, self._Ku)
+        return np.negative(f, out=f)
 
 
 class FrozenPasses:
@@ -115,11 +145,15 @@ class FrozenPasses:
 
     def pass_from(self, x: Floats, stage: Stage, R: Floats | None = None) -> tuple[Floats, Work]:
         """Return v of the system linearised at x (n, d), with the law's rotations there or with R."""
-        body, h = self.body, stage.h
-        f, K = body.linearise(x, R)
-        b = body.momentum(stage.v_h) + h * (body.load + f)
+        body, h, system = self.body, stage.h, self.system
+        work = system.linearise(x, h, R)
+        held, away = _held_velocity(stage, body), stage.v_h
         if x is not stage.x_h:
-            b -= h * body.pattern.product(K, stage.x_h - x)
-        work = self.system.update(K, h, x)
-        v, solved = self.system.solve(b, stage)
+            reached = (x - stage.x_h) / h
+            held = held - reached[body.supports.nodes]
+            away = stage.v_h - reached
+        b = body.momentum(away)
+        b += h * (body.load + system.f)
+        w, solved = system.solve(b, held, away)
+        v = w if x is stage.x_h else reached + w
         return v, work + solved + Work(iterations=1, rotations=1)

@@ -2,28 +2,36 @@
 
 banded     Cholesky of the reverse Cuthill-McKee band; the fastest factor of small meshes
 superlu    sparse LU, symmetric mode with a minimum-degree order of A + A^T; a factor per matrix, any conditioning
+pardiso    sparse Cholesky of Intel MKL, where that is installed; the fastest direct solve of large meshes
 warped     conjugate gradients with the rest state's factor, turned along; one factor a run: for larger meshes
 cg         conjugate gradients with block Jacobi; no factor: for small steps, where few iterations suffice
 """
 
+import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from scipy.sparse.linalg import LinearOperator, cg, splu
+from scipy.sparse.linalg import splu
 
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
 from pipeline.mesh.simplex import Floats
-from pipeline.stepping.banded import Band, BandedCholesky
+from pipeline.stepping.banded import band_of
+from pipeline.stepping.pardiso import library
 from pipeline.stepping.state import Work
-from pipeline.stepping.warped import WarpedCG
+from pipeline.stepping.warped import factor_kind
 
 # [MB] of a double precision band. A matrix that stays is factored once: reading its band is what counts. One that
 # changes is factored every step, which costs the band's width more; from here on one factor, warped, is faster.
-_CONSTANT_BAND = 60.0
+_CONSTANT_BAND = 20.0
+_CONSTANT_BAND_WITHOUT_MKL = 60.0
 _CHANGING_BAND = 1.5
+# a factor in single precision by nested dissection, measured at 10k and 100k tetrahedra: bytes over dofs^(4/3)
+_FACTOR_BYTES = 63.0
+_MOST_OF_MEMORY = 0.5
+_SOFT = 20.0
 
 # gives the values (blocks, d, d) of the system at rest; None where the system is always that
 Rest = Callable[[], Floats] | None
@@ -71,42 +79,31 @@ class SuperLU:
         return self._factor.solve(b.ravel()).reshape(b.shape), Work(solves=1)
 
 
-@dataclass(eq=False)
-class BlockJacobiCG:
-    """Conjugate gradients, preconditioned by the inverse diagonal blocks."""
+def choice(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[str, str]:
+    """Return the name of the solver for a pattern whose matrix stays, or changes every step, and why.
 
-    pattern: BlockPattern
-    rtol: float
-    rest: Rest = None
-
-    def update(self, values: Floats, frames: Frames) -> Work:
-        """Take the matrix and invert its diagonal blocks."""
-        self._matrix = self.pattern.matrix(values)
-        try:
-            self._inverse = np.linalg.inv(values[self.pattern.indices == self.pattern.rows])
-        except np.linalg.LinAlgError as error:
-            raise SolveError("a diagonal block of the system's matrix is singular") from error
-        return Work()
-
-    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
-        """Return the solution to a relative residual of rtol; raises SolveError where that is not reached."""
-        d = self.pattern.dimension
-
-        def precondition(r: Floats) -> Floats:
-            return (self._inverse @ r.reshape(-1, d, 1)).ravel()
-
-        M = LinearOperator((b.size, b.size), matvec=precondition)
-        limit = max(1000, 10 * b.size)
-        x, info = cg(self._matrix, b.ravel(), x0=guess.ravel(), rtol=self.rtol, maxiter=limit, M=M)
-        if info:
-            raise SolveError(f"conjugate gradients did not reach {self.rtol:g} in {limit} iterations")
-        return x.reshape(b.shape), Work(solves=1)
+    `stiffness` is h times (a bound of) the highest frequency [1]: conjugate gradients take about twice that many
+    iterations without a factor.
+    """
+    band, mkl = band_of(pattern).megabytes, library() is not None
+    most = _CHANGING_BAND if not constant else _CONSTANT_BAND if mkl else _CONSTANT_BAND_WITHOUT_MKL
+    kind = "stays" if constant else "changes every step"
+    if band <= most:
+        return "banded", f"the matrix {kind}; its band takes {band:.3g} MB, at most {most:g}"
+    why = f"the matrix {kind}; its band would take {band:.3g} MB, more than {most:g}"
+    size = _FACTOR_BYTES * (pattern.nodes * pattern.dimension) ** (4 / 3) * (2 if constant else 1)
+    if size > _MOST_OF_MEMORY * _memory():
+        return "cg", f"{why}; a sparse factor would take {size / 1e9:.3g} GB, too much for this machine"
+    if constant:
+        return ("pardiso", f"{why}; MKL is installed") if mkl else ("superlu", f"{why}; MKL is not installed")
+    if factor_kind(band) != "banded" and stiffness <= _SOFT:
+        return "cg", f"{why}; the step is short: h omega_max is {stiffness:.3g}, at most {_SOFT:g}"
+    return "warped", f"{why}; h omega_max is up to {stiffness:.3g}; the factor at rest is {factor_kind(band)}"
 
 
-def automatic(pattern: BlockPattern, rtol: float, rest: Rest) -> LinearSolver:
-    """Return the solver for the size of the pattern, and for whether its matrix changes."""
-    band = Band(pattern)
-    if rest is None:
-        return BandedCholesky(pattern, rtol, rest) if band.megabytes <= _CONSTANT_BAND else SuperLU(pattern, rtol, rest)
-    changing = BandedCholesky if band.megabytes <= _CHANGING_BAND else WarpedCG
-    return changing(pattern, rtol, rest)
+def _memory() -> float:
+    """Return the machine's memory [bytes]; infinite where the system does not tell."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, OSError, ValueError):
+        return math.inf

@@ -10,6 +10,9 @@ so that is tried first and kept only if it ends no higher than phi(x_n).
 tangent = "projected" always descends, and near the end, where it would converge linearly in compression, gives way to
 the exact one; "exact" converges quadratically but may not descend in compression;
 "frozen" (K' of the thesis) converges linearly. The last two are there to be studied.
+
+Where an inverted cell is stretched so far that tr S > d + 2 mu/lam, W has a convex crease; a minimum on it has no
+vanishing gradient, and is an error.
 """
 
 from dataclasses import dataclass
@@ -65,6 +68,10 @@ class Converged:
         self._stiff = (2 * m.mu + abs(m.lam)) * body.mesh.rest_volumes.max() ** (
             (body.mesh.dimension - 1) / body.mesh.dimension
         )
+        # the energy of a strain of one everywhere [J], and the strain that rounded positions make
+        self._full = (2 * m.mu + abs(m.lam)) * float(body.mesh.rest_volumes.sum())
+        steepest = float(np.abs(body.mesh.shape_gradients).max())
+        self._rounded_strain = float(np.finfo(np.float64).eps * np.abs(body.mesh.points).max()) * steepest
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v at the minimum of phi; raises SolveError with the residual where the limit is reached."""
@@ -76,11 +83,18 @@ class Converged:
         found = self.descend(safe, stage, self.limits.iterations)
         work = first.work + found.work
         if not found.converged:
-            raise SolveError(
-                f"Newton did not reach {self.limits.tolerance:g} in {self.limits.iterations} iterations "
-                f"(residual {found.residual:.2g}); try a smaller schedule.dt or a larger method.max_iterations"
-            )
+            raise self._failure(found)
         return (found.x - stage.x_h) / stage.h, work
+
+    def _failure(self, found: _Descent) -> SolveError:
+        count = found.work.iterations
+        said = f"Newton did not reach {self.limits.tolerance:g} in {count} iterations (residual {found.residual:.2g}); "
+        if count < self.limits.iterations:
+            said += (
+                "no step lowers the energy further, as where inverted cells are stretched to several times their size"
+            )
+            return SolveError(f"{said}: try a smaller schedule.dt or a stiffer body")
+        return SolveError(f"{said}try a smaller schedule.dt or a larger method.max_iterations")
 
     def potential(self, x: Floats, stage: Stage) -> float:
         """Return phi(x) [J]."""
@@ -136,17 +150,15 @@ class Converged:
 
     def _solved(self, x: Floats, r: Floats, kind: Tangent, stage: Stage) -> tuple[Floats, Work]:
         """Return dx (n, d) with (M/h^2 + K) dx = r on the free nodes."""
-        _, K = self.body.linearise(x, kind=kind)
-        work = self.system.update(K, stage.h, x)
-        dx = np.zeros_like(r)
-        free = self.body.free
-        dx[free], solved = self.system.solver.solve(stage.h**2 * r[free], dx[free])
+        work = self.system.linearise(x, stage.h, kind=kind)
+        still = np.zeros_like(r)
+        dx, solved = self.system.solve(stage.h**2 * r, still[self.body.supports.nodes], still)
         return dx, work + solved
 
     def _search(self, x: Floats, dx: Floats, phi: float, slope: float, stage: Stage) -> tuple[Floats, float, bool]:
         """Return x + s dx with the first s of 1, 1/2, … that lowers phi enough, its phi, and whether there was one."""
         # at the solution phi no longer changes in its digits; a step that promises less than those is taken whole
-        noise = _DIGITS * sum(abs(term) for term in self._terms(x, stage))
+        noise = self._noise(self._terms(x, stage))
         s = 1.0
         while s >= _SHORTEST:
             trial = x + s * dx
@@ -155,3 +167,12 @@ class Converged:
                 return trial, value, True
             s /= 2
         return x, phi, False
+
+    def _noise(self, terms: tuple[float, float, float]) -> float:
+        """Return the part of phi [J] that is rounding, from its terms.
+
+        Near the rest shape W loses more digits than any sum does: half of full e^2, it changes by full e de with the
+        strain de that rounded positions make. Without that part the search would halve good steps, over and over.
+        """
+        elastic = max(terms[1], 0.0)  # rounding may leave it a little below
+        return _DIGITS * sum(map(abs, terms)) + float(np.sqrt(2 * elastic * self._full)) * self._rounded_strain

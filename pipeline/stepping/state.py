@@ -1,7 +1,7 @@
 """What a stepper carries from step to step, and what it counts."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -28,23 +28,31 @@ class Work:
     """What was done: counts that machines share, and the seconds that they do not.
 
     `rung` and `indicator` say which model the most demanding step needed, and its spurious volume (fidelity.py).
-    `iterations` counts the linear systems' right-hand sides posed (Newton iterations); `solves` the
-    systems solved for them; `seconds` is solving alone, without measuring or writing.
+    `history` has these two and the solves of each step of model = "auto", for as long as someone asks.
+    `iterations` counts the linear systems' right-hand sides posed (Newton iterations), `solves` the systems solved for
+    them, `linear_iterations` what iterative solvers took for it; `seconds` is solving alone, without measuring or
+    writing.
     """
 
     steps: int = 0
     solves: int = 0
     iterations: int = 0
     factorisations: int = 0
+    linear_iterations: int = 0
     rotations: int = 0
     seconds: float = 0.0
     rung: int = 0
     indicator: float = 0.0
+    history: tuple[tuple[int, int, float], ...] = ()
 
     def __add__(self, other: "Work") -> "Work":
-        added = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}
-        largest = {name: max(getattr(self, name), getattr(other, name)) for name in ("rung", "indicator")}
-        return Work(**{**added, **largest})
+        mine, theirs = self.__dict__, other.__dict__
+        return Work(
+            **{name: max(mine[name], theirs[name]) if name in _LARGEST else mine[name] + theirs[name] for name in mine}
+        )
+
+
+_LARGEST = ("rung", "indicator")
 
 
 class Stepper(Protocol):

@@ -52,8 +52,8 @@ def element_limit(body: Body) -> float:
 def true_limit(body: Body) -> float:
     """Return 2 / omega_max [s] of the body at rest; raises SolveError where Lanczos does not converge."""
     _, K = body.linearise(body.mesh.points)
-    pattern, blocks = body.free_pattern
-    matrix = pattern.matrix(K[blocks])
+    pattern = body.free_pattern
+    matrix = pattern.matrix(K[: pattern.blocks])
     root = np.repeat(np.sqrt(body.lumped_mass[body.free]), pattern.dimension)
     operator = LinearOperator(matrix.shape, matvec=lambda u: (matrix @ (u.ravel() / root)) / root, dtype=np.float64)
     if matrix.shape[0] < 3:

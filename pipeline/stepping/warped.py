@@ -9,95 +9,118 @@ For stiff steps of middle and large meshes; small ones are faster with a banded 
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.lapack import spbtrs
 from scipy.sparse.linalg import splu
 
-from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
 from pipeline.mesh.simplex import Floats
-from pipeline.stepping.banded import Band
+from pipeline.stepping import pardiso
+from pipeline.stepping.banded import band_of
+from pipeline.stepping.conjugate_gradients import ConjugateGradients, Frames
 from pipeline.stepping.state import Work
 
 Singles = np.ndarray
-_LIMIT = 2000
-# above this the band's fill costs more to read than a sparse factor's
-_BAND_MEGABYTES = 60.0
+# [MB] of the band in double precision: above the first MKL's sparse factor is faster to read, above the second any is
+_SMALL_BAND = 20.0
+_LARGE_BAND = 60.0
 
 
-def rest_factor(pattern: BlockPattern, values: Floats) -> Callable[[Singles], Singles]:
-    """Return b -> A^-1 b (n, d) in single precision: banded, else CHOLMOD by the `fast` extra, else SuperLU."""
-    band = Band(pattern)
-    if band.megabytes / 2 <= _BAND_MEGABYTES:
-        factor = band.factored(values, np.float32)
-        return lambda b: band.ordered(spbtrs(factor, band.flat(b), lower=1)[0], b.shape)
-    matrix = pattern.matrix(values).tocsc()
+@dataclass(frozen=True, eq=False)
+class RestFactor:
+    """Solves A_0 y = b in single precision, for flat vectors whose nodes stand in `order`; b may be overwritten."""
+
+    name: str
+    order: np.ndarray
+    solve: Callable[[Singles], Singles]
+
+
+def factor_kind(band_megabytes: float) -> str:
+    """Return how the state at rest is factored: banded; for larger ones by MKL, CHOLMOD (`fast` extra), or SuperLU."""
+    if band_megabytes <= (_LARGE_BAND if pardiso.library() is None else _SMALL_BAND):
+        return "banded"
+    if pardiso.library() is not None:
+        return "mkl"
     try:
-        from cholespy import CholeskySolverF, MatrixType
+        import cholespy  # noqa: F401
     except ImportError:
-        solve = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}).solve
-        return lambda b: solve(b.ravel().astype(np.float64)).reshape(b.shape).astype(np.float32)
-    coo = matrix.tocoo()
-    made = CholeskySolverF(matrix.shape[0], coo.row, coo.col, coo.data, MatrixType.COO)
-
-    def solve_sparse(b: Singles) -> Singles:
-        x = np.empty(b.size, dtype=np.float32)
-        made.solve(np.ascontiguousarray(b.ravel()), x)
-        return x.reshape(b.shape)
-
-    return solve_sparse
+        return "superlu"
+    return "cholmod"
 
 
-class WarpedCG:
-    """Solves for changing matrices of one pattern with one factor: that of rest(), or of the first."""
+def rest_factor(pattern: BlockPattern, values: Floats) -> RestFactor:
+    """Return the factor of the matrix with these values (blocks, d, d), of the kind for its size."""
+    kind = factor_kind(band_of(pattern).megabytes)
+    return FACTORS[kind](pattern, values)
 
-    def __init__(self, pattern: BlockPattern, rtol: float, rest: Callable[[], Floats] | None) -> None:
+
+def _banded(pattern: BlockPattern, values: Floats) -> RestFactor:
+    band = band_of(pattern)
+    factor = band.factored(values, np.float32)
+    return RestFactor("banded", band.order, lambda b: spbtrs(factor, b, lower=1, overwrite_b=1)[0])
+
+
+def _by_mkl(pattern: BlockPattern, values: Floats) -> RestFactor:
+    factor = pardiso.Factor(pattern, np.float32)
+    factor.update(values)
+    return RestFactor("mkl", np.arange(pattern.nodes), factor.solve)
+
+
+def _by_cholmod(pattern: BlockPattern, values: Floats) -> RestFactor:
+    from cholespy import CholeskySolverF, MatrixType
+
+    matrix = pattern.matrix(values).tocoo()
+    made = CholeskySolverF(matrix.shape[0], matrix.row, matrix.col, matrix.data, MatrixType.COO)
+
+    def solve(b: Singles) -> Singles:
+        x = np.empty_like(b)
+        made.solve(b, x)
+        return x
+
+    return RestFactor("cholmod", np.arange(pattern.nodes), solve)
+
+
+def _by_superlu(pattern: BlockPattern, values: Floats) -> RestFactor:
+    matrix = pattern.matrix(values).tocsc()
+    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    nodes = np.arange(pattern.nodes)
+    return RestFactor("superlu", nodes, lambda b: factor.solve(b.astype(np.float64)).astype(np.float32))
+
+
+FACTORS = {"banded": _banded, "mkl": _by_mkl, "cholmod": _by_cholmod, "superlu": _by_superlu}
+
+
+class TurnedFactor:
+    """Q A_0^-1 Q^T, with one factor for all matrices: that of rest(), or of the first."""
+
+    def __init__(self, pattern: BlockPattern, rest: Callable[[], Floats] | None) -> None:
         self.pattern = pattern
-        self.rtol = rtol
-        self._rest = rest
-        self._factor: Callable[[Singles], Singles] | None = None if rest is None else rest_factor(pattern, rest())
+        self.factor = None if rest is None else rest_factor(pattern, rest())
         self._setup = Work(factorisations=1)
+        self._y = np.empty(pattern.nodes * pattern.dimension, dtype=np.float32)
 
-    def update(self, values: Floats, frames: Callable[[], Floats]) -> Work:
-        """Take the matrix with these values and the nodal rotations (n, d, d) of its state."""
-        self._matrix = self.pattern.matrix(values)
-        if self._factor is None:
-            self._factor = rest_factor(self.pattern, values)
-        self._Q = frames().astype(np.float32)
+    def update(self, values: Floats, frames: Frames) -> Work:
+        """Take the nodal rotations (n, d, d) of the matrix' state."""
+        if self.factor is None:
+            self.factor = rest_factor(self.pattern, values)
+        self._Q = frames()
         work, self._setup = self._setup, Work()
         return work
 
-    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
-        """Return x (n, d) to a relative residual of rtol from guess; raises SolveError where that is not reached."""
-        x = guess.copy()
-        r = b - self._product(x)
-        target = self.rtol * np.linalg.norm(b)
-        z = self._preconditioned(r)
-        p, rz = z, float((r * z).sum())
-        for _ in range(_LIMIT):
-            if np.linalg.norm(r) <= target:
-                return x, Work(solves=1)
-            Ap = self._product(p)
-            curvature = float((p * Ap).sum())
-            if not curvature > 0:
-                raise SolveError(f"the system's matrix is not positive definite (p . A p = {curvature:.3g})")
-            step = rz / curvature
-            x += step * p
-            r_new = r - step * Ap
-            z = self._preconditioned(r_new)
-            # Polak-Ribiere: the single precision of the factor makes the preconditioner a little different each time
-            rz_new, beta = float((r_new * z).sum()), float(((r_new - r) * z).sum()) / rz
-            p, r, rz = z + beta * p, r_new, rz_new
-        raise SolveError(f"warped conjugate gradients did not reach {self.rtol:g} in {_LIMIT} iterations")
+    def apply(self, r: Floats, size: float, Ap: Floats, z: Floats) -> tuple[float, float]:
+        """Write Q A_0^-1 Q^T r into z; r / size is what single precision has to hold."""
+        from pipeline.stepping import kernels
 
-    def _product(self, x: Floats) -> Floats:
-        return np.asarray(self._matrix @ x.ravel()).reshape(x.shape)
+        assert self.factor is not None
+        size = size or 1.0
+        kernels.turn(self._Q, r, self.factor.order, size, self._y)
+        y = self.factor.solve(self._y)
+        result: tuple[float, float] = kernels.turn_back(self._Q, y, self.factor.order, size, r, Ap, z)
+        return result
 
-    def _preconditioned(self, r: Floats) -> Floats:
-        """Return Q A_0^-1 Q^T r; scaled, so that single precision neither over- nor underflows."""
-        size = float(np.abs(r).max()) or 1.0
-        assert self._factor is not None
-        turned = np.einsum("nji,nj->ni", self._Q, (r / size).astype(np.float32))
-        back = np.einsum("nij,nj->ni", self._Q, self._factor(turned))
-        return back.astype(np.float64) * size
+
+def warped_cg(pattern: BlockPattern, rtol: float, rest: Callable[[], Floats] | None) -> ConjugateGradients:
+    """Return conjugate gradients with the turned factor of the state at rest."""
+    return ConjugateGradients(pattern, rtol, TurnedFactor(pattern, rest))

@@ -1,5 +1,6 @@
 """Figures of a comparison dataset: volume ratio of every cell, and energies, over time."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,6 +83,36 @@ def energy_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
         _label_outer(panels, f"energy [{prefix}{unit}]")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+        _save(figure, path)
+
+
+RUNGS = (("linear", GREEN), ("corotational", BLUE), ("converged", VERMILION))
+
+
+def effort_figure(datasets: "Mapping[str, xarray.Dataset]", path: Path, *, title: str) -> None:
+    """Write which model every step of model = "auto" needed, and how many solves, a panel a variant.
+
+    Takes step_rung and step_solves (step) of each variant. Raises OutputError where it cannot write.
+    """
+    from matplotlib import rc_context
+    from matplotlib.patches import Patch
+    from matplotlib.ticker import MaxNLocator
+
+    with rc_context(STYLE):
+        figure, panels = _panels(len(datasets), title)
+        for axes, (name, dataset) in zip(panels, datasets.items(), strict=True):
+            step, solves, rung = (dataset[n].values for n in ("step", "step_solves", "step_rung"))
+            counts = [int((rung == i).sum()) for i in range(len(RUNGS))]
+            for i, (_, colour) in enumerate(RUNGS):
+                axes.bar(step[rung == i], solves[rung == i], width=1.0, color=colour, linewidth=0)
+            told = ", ".join(f"{n} {label}" for n, (label, _) in zip(counts, RUNGS, strict=True) if n)
+            axes.set_title(f"{name}: {told} steps", loc="left", fontsize=11, color=BLACK)
+        _label_outer(panels, "solves")
+        for axes in panels:
+            axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+            axes.set_xlabel("step" if axes.get_xlabel() else "")
+        handles = [Patch(color=colour, label=label) for label, colour in RUNGS]
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
         _save(figure, path)
 
 

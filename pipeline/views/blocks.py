@@ -1,4 +1,4 @@
-"""A report as blocks, written as Markdown (pictures linked) and as one HTML file (pictures inside, no network)."""
+"""A report as blocks, written as Markdown (pictures linked) and as one HTML file (all inside, no network)."""
 
 import base64
 import os
@@ -43,8 +43,15 @@ class Picture:
     caption: str
 
 
-Block = Heading | Paragraph | Table | Picture
-_STYLE = """
+@dataclass(frozen=True)
+class Listing:
+    """A text as it is, such as a file or commands."""
+
+    text: str
+
+
+Block = Heading | Paragraph | Table | Picture | Listing
+STYLE = """
 :root { color-scheme: light dark; --ink: #1b1e28; --soft: #5a6070; --rule: #d9dce3; --page: #fff; --band: #f5f6f9;
   --good: #0b6b3a; --factor: #8a5a00; --bad: #a4262c; }
 @media (prefers-color-scheme: dark) { :root { --ink: #e6e8ee; --soft: #a0a7b8; --rule: #363b48; --page: #14161c;
@@ -64,6 +71,8 @@ figure { margin: 1.5rem 0; }
 img { max-width: 100%; background: #fff; border: 1px solid var(--rule); border-radius: 4px; }
 figcaption { color: var(--soft); font-size: .9rem; max-width: 46rem; }
 code { font-size: .9em; }
+pre { overflow-x: auto; padding: .8rem 1rem; background: var(--band); border: 1px solid var(--rule);
+  border-radius: 4px; line-height: 1.45; }
 """
 
 
@@ -80,6 +89,8 @@ def _markdown_block(block: Block, folder: Path) -> str:
     if isinstance(block, Picture):
         place = Path(os.path.relpath(block.path, folder)).as_posix()
         return f"![{block.caption}]({place})\n\n*{block.caption}*"
+    if isinstance(block, Listing):
+        return f"```\n{block.text.rstrip()}\n```"
     rows = [block.head, ("---",) * len(block.head), *block.rows]
     lines = ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in rows]
     return "\n".join([f"*{block.caption}*", "", *lines] if block.caption else lines)
@@ -88,32 +99,44 @@ def _markdown_block(block: Block, folder: Path) -> str:
 def html(blocks: Sequence[Block]) -> str:
     """Return the report as one HTML page that asks for nothing; raises OutputError where a picture cannot be read."""
     title = next(block.text for block in blocks if isinstance(block, Heading))
-    contents = "".join(
-        f'<a href="#{_anchor(b.text)}">{escape(b.text)}</a>' for b in blocks if isinstance(b, Heading) and b.level == 2
-    )
-    first, *others = (_html_block(block) for block in blocks)
-    body = "\n".join([first, f"<nav>{contents}</nav>", *others])
+    first, *others = (html_block(block) for block in blocks)
+    sections = [b.text for b in blocks if isinstance(b, Heading) and b.level == 2]
+    return document(title, "\n".join([first, navigation(sections), *others]))
+
+
+def document(title: str, body: str, *, head: str = "") -> str:
+    """Return a whole HTML page in the common style; body and head are HTML."""
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{escape(title)}</title>\n'
-        f"<style>{_STYLE}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
+        f"<style>{STYLE}</style>\n{head}</head>\n<body>\n{body}\n</body>\n</html>\n"
     )
 
 
-def _html_block(block: Block) -> str:
+def navigation(sections: Sequence[str]) -> str:
+    """Return HTML of links to sections."""
+    links = "".join(f'<a href="#{anchor(text)}">{escape(text)}</a>' for text in sections)
+    return f'<nav aria-label="Contents">{links}</nav>'
+
+
+def html_block(block: Block) -> str:
+    """Return HTML of a block; raises OutputError where a picture cannot be read."""
     if isinstance(block, Heading):
-        return f'<h{block.level} id="{_anchor(block.text)}">{escape(block.text)}</h{block.level}>'
+        return f'<h{block.level} id="{anchor(block.text)}">{escape(block.text)}</h{block.level}>'
     if isinstance(block, Paragraph):
         return f"<p>{_inline(block.text)}</p>"
+    if isinstance(block, Listing):
+        return f'<pre tabindex="0"><code>{escape(block.text.rstrip(), quote=False)}</code></pre>'
     if isinstance(block, Picture):
         return (
-            f'<figure><img alt="{escape(block.caption)}" src="{_embedded(block.path)}">'
+            f'<figure><img alt="{escape(block.caption)}" src="{data_uri(block.path, "image/png")}">'
             f"<figcaption>{_inline(block.caption)}</figcaption></figure>"
         )
-    head = "".join(f"<th>{_inline(cell)}</th>" for cell in block.head)
+    head = "".join(f'<th scope="col">{_inline(cell)}</th>' for cell in block.head)
     rows = "\n".join("<tr>" + "".join(_html_cell(cell) for cell in row) + "</tr>" for row in block.rows)
     caption = f"<caption>{_inline(block.caption)}</caption>" if block.caption else ""
-    return f'<div class="wide"><table>{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>'
+    table = f"<table>{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}\n</tbody></table>"
+    return f'<div class="wide" tabindex="0">{table}</div>'  # the focus lets keys scroll what is too wide
 
 
 def _html_cell(text: str) -> str:
@@ -134,12 +157,14 @@ def _inline(text: str) -> str:
     return re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", safe)
 
 
-def _anchor(text: str) -> str:
+def anchor(text: str) -> str:
+    """Return the id of the section of that title."""
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
 
 
-def _embedded(path: Path) -> str:
+def data_uri(path: Path, kind: str) -> str:
+    """Return a file as a data: address; raises OutputError where it cannot be read."""
     try:
-        return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+        return f"data:{kind};base64," + base64.b64encode(path.read_bytes()).decode("ascii")
     except OSError as error:
         raise OutputError(f"{path}: cannot be read ({error.strerror})") from error

@@ -1,0 +1,54 @@
+"""What a frame carries into ParaView files of every format: points, fields of nodes, cells and the body, by name.
+
+Points are where the body is NOW; `displacement` and `rest_position` lead back.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.frame import Frame, Values
+from pipeline.measures import VARIABLES, spatial
+from pipeline.mesh.simplex import Mesh
+
+CELL_TYPES = {2: 5, 3: 10}  # VTK's numbers of triangle and tetrahedron
+Precision = Literal["float64", "float32"]
+Arrays = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Fields:
+    """One frame: points (n, 3), nodal (n, 3), cellular (e,), and numbers of the body: rows of components (1, k)."""
+
+    points: NDArray[np.floating]
+    nodal: Arrays
+    cellular: Arrays
+    numbers: Arrays
+
+
+def frame_fields(frame: Frame, measured: Values, precision: Precision = "float64") -> Fields:
+    """Return what changes from frame to frame; numbers of the body are float64 in every precision."""
+    mesh = frame.mesh
+    nodal = {"displacement": frame.x - mesh.points}
+    if frame.v is not None:
+        nodal["velocity"] = frame.v
+    cellular = {name: value for name, value in measured.items() if VARIABLES[name].dims == ("cell",)}
+    cellular = {"volume": cellular["volume_ratio"] * mesh.rest_volumes, **cellular}
+    numbers = {"TimeValue": np.array([[frame.time]])}
+    if frame.step is not None:
+        numbers["step"] = np.array([[frame.step]], dtype=np.int64)
+    numbers |= {name: np.atleast_2d(value) for name, value in measured.items() if name not in cellular}
+    return Fields(
+        spatial(frame.x).astype(precision, copy=False),
+        {name: spatial(value).astype(precision, copy=False) for name, value in nodal.items()},
+        {name: value.astype(precision, copy=False) for name, value in cellular.items()},
+        numbers,
+    )
+
+
+def rest_positions(mesh: Mesh, precision: Precision = "float64") -> NDArray[np.floating]:
+    """Return the rest points (n, 3), the one nodal field that never changes."""
+    return spatial(mesh.points).astype(precision, copy=False)

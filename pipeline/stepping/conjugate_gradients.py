@@ -1,0 +1,100 @@
+"""Preconditioned conjugate gradients on nodal vectors, and its plainest preconditioner: the diagonal blocks' inverses.
+
+For small steps, where the mass rules and few iterations suffice: no factor, little memory, any size of mesh.
+"""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from pipeline.errors import SolveError
+from pipeline.fem.assembly import BlockPattern
+from pipeline.mesh.simplex import Floats
+from pipeline.stepping.state import Work
+
+_LIMIT = 2000
+
+Frames = Callable[[], Floats]
+
+
+class Preconditioner(Protocol):
+    """An approximate inverse of the last matrix that `update` gave it."""
+
+    def update(self, values: Floats, frames: Frames) -> Work:
+        """Take the matrix with these values (blocks, d, d) and the nodes' rotations (n, d, d) where it is of use."""
+        ...
+
+    def apply(self, r: Floats, size: float, Ap: Floats, z: Floats) -> tuple[float, float]:
+        """Write the approximate A^-1 r into z (n, d), |r| being `size`; return z . r and z . A p."""
+        ...
+
+
+class ConjugateGradients:
+    """Solves for changing matrices of one pattern to a relative residual of rtol; its vectors are made once."""
+
+    def __init__(self, pattern: BlockPattern, rtol: float, preconditioner: Preconditioner) -> None:
+        self.pattern = pattern
+        self.rtol = rtol
+        self.preconditioner = preconditioner
+        n, d = pattern.nodes, pattern.dimension
+        self._r, self._z, self._p, self._Ap = (np.empty((n, d)) for _ in range(4))
+
+    def update(self, values: Floats, frames: Frames) -> Work:
+        """Take the matrix with these values; they are not copied."""
+        self._values = values
+        return self.preconditioner.update(values, frames)
+
+    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
+        """Return x (n, d) to a relative residual of rtol from guess; raises SolveError where that is not reached."""
+        from pipeline.stepping import kernels
+
+        x, r, z, p, Ap = guess.copy(), self._r, self._z, self._p, self._Ap
+        target = self.rtol * np.sqrt(kernels.dot(b, b))
+        size = kernels.subtract(b, self.pattern.product(self._values, x, Ap), r)
+        p[:] = 0.0
+        rz, step = 1.0, 0.0  # so that the first direction is z
+        for iteration in range(_LIMIT):
+            if size <= target:
+                return x, Work(solves=1, linear_iterations=iteration)
+            rz_new, zAp = self.preconditioner.apply(r, size, Ap, z)
+            # Polak-Ribiere, (r_new - r) . z = -step A p . z: a factor in single precision makes the preconditioner a
+            # little different each time
+            kernels.follow(z, -step * zAp / rz, p)
+            rz = rz_new
+            curvature = kernels.dot(p, self.pattern.product(self._values, p, Ap))
+            if not curvature > 0:
+                raise SolveError(f"the system's matrix is not positive definite (p . A p = {curvature:.3g})")
+            step = rz / curvature
+            size = kernels.descend(step, p, Ap, x, r)
+        raise SolveError(
+            f"conjugate gradients did not reach {self.rtol:g} in {_LIMIT} iterations; try a smaller schedule.dt or "
+            'another method.linear_solver, such as "warped"'
+        )
+
+
+class BlockJacobi:
+    """The inverses of the diagonal blocks."""
+
+    def __init__(self, pattern: BlockPattern) -> None:
+        self._diagonal = pattern.diagonal
+
+    def update(self, values: Floats, frames: Frames) -> Work:
+        """Invert the diagonal blocks; raises SolveError where one is singular."""
+        try:
+            self._inverse = np.linalg.inv(values[self._diagonal])
+        except np.linalg.LinAlgError as error:
+            raise SolveError("a diagonal block of the system's matrix is singular") from error
+        return Work()
+
+    def apply(self, r: Floats, size: float, Ap: Floats, z: Floats) -> tuple[float, float]:
+        """Write D^-1 r into z; return z . r and z . A p."""
+        from pipeline.stepping import kernels
+
+        result: tuple[float, float] = kernels.by_blocks(self._inverse, r, Ap, z)
+        return result
+
+
+def block_jacobi_cg(pattern: BlockPattern, rtol: float, rest: object = None) -> ConjugateGradients:
+    """Return conjugate gradients with the diagonal blocks' inverses."""
+    return ConjugateGradients(pattern, rtol, BlockJacobi(pattern))

@@ -1,0 +1,100 @@
+"""Compiled vector work of conjugate gradients on nodal vectors (n, d): one pass over memory each, nothing allocated."""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, error_model="numpy")
+def fill(values, taken, target, band):
+    """Write values[taken] to band[target], both flat, and zero elsewhere."""
+    band[:] = 0.0
+    for k in range(len(taken)):
+        band[target[k]] = values[taken[k]]
+
+
+@njit(cache=True, error_model="numpy")
+def dot(a, b):
+    """Return a . b."""
+    total = 0.0
+    for i in range(len(a)):
+        for k in range(a.shape[1]):
+            total += a[i, k] * b[i, k]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def subtract(b, Ax, r):
+    """Write b - A x into r and return |r|."""
+    total = 0.0
+    for i in range(len(b)):
+        for k in range(b.shape[1]):
+            r[i, k] = b[i, k] - Ax[i, k]
+            total += r[i, k] * r[i, k]
+    return np.sqrt(total)
+
+
+@njit(cache=True, error_model="numpy")
+def descend(step, p, Ap, x, r):
+    """Add step p to x, take step A p from r, and return |r|."""
+    total = 0.0
+    for i in range(len(x)):
+        for k in range(x.shape[1]):
+            x[i, k] += step * p[i, k]
+            r[i, k] -= step * Ap[i, k]
+            total += r[i, k] * r[i, k]
+    return np.sqrt(total)
+
+
+@njit(cache=True, error_model="numpy")
+def by_blocks(D, r, Ap, z):
+    """Write D_n r_n into z (n, d) for every node n; return z . r and z . A p."""
+    d = r.shape[1]
+    zr = zAp = 0.0
+    for n in range(len(r)):
+        for i in range(d):
+            value = 0.0
+            for j in range(d):
+                value += D[n, i, j] * r[n, j]
+            z[n, i] = value
+            zr += value * r[n, i]
+            zAp += value * Ap[n, i]
+    return zr, zAp
+
+
+@njit(cache=True, error_model="numpy")
+def turn(Q, r, order, size, y):
+    """Write Q^T r / size into y (n d,) in single precision, its nodes in the given order."""
+    d = r.shape[1]
+    for k in range(len(order)):
+        n = order[k]
+        for i in range(d):
+            value = 0.0
+            for j in range(d):
+                value += Q[n, j, i] * r[n, j]
+            y[d * k + i] = value / size
+
+
+@njit(cache=True, error_model="numpy")
+def turn_back(Q, y, order, size, r, Ap, z):
+    """Write size Q y into z (n, d); return z . r and z . A p."""
+    d = r.shape[1]
+    zr = zAp = 0.0
+    for k in range(len(order)):
+        n = order[k]
+        for i in range(d):
+            value = 0.0
+            for j in range(d):
+                value += Q[n, i, j] * y[d * k + j]
+            value *= size
+            z[n, i] = value
+            zr += value * r[n, i]
+            zAp += value * Ap[n, i]
+    return zr, zAp
+
+
+@njit(cache=True, error_model="numpy")
+def follow(z, beta, p):
+    """Write z + beta p into p."""
+    for i in range(len(p)):
+        for k in range(p.shape[1]):
+            p[i, k] = z[i, k] + beta * p[i, k]

@@ -1,0 +1,64 @@
+"""Nodes moved on purpose: apexes towards or through the bases of their cells, and every node by chance."""
+
+import numpy as np
+
+from pipeline.errors import MeshError
+from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
+
+# apexes moved at once: some of every kind of place, and few enough that the rest of the body is as it was
+_MOST = 8
+# of a cell's volume: what rounding may make of a neighbour that ends as flat as the chosen cell
+_FLAT = -1e-9
+
+
+def scrambled(mesh: Mesh, free: Ints, reach: float, *, seed: int) -> Floats:
+    """Return the points (n, d) with every free node moved along every axis by up to +-reach [m]."""
+    away = np.random.default_rng(seed).uniform(-reach, reach, mesh.points.shape)
+    x = mesh.points.copy()
+    x[free] += away[free]
+    return x
+
+
+def apexes_moved(mesh: Mesh, free: Ints, part: float, *, seed: int) -> Floats:
+    """Return the points (n, d), some free nodes moved by a part of the way to the middle of a cell's base.
+
+    At part = 1 - h the cell's height is h of what it was, and no other cell is flatter; beyond 1 the cell is
+    inverted. At most eight nodes, chosen by chance, none of which share a cell. Raises MeshError where there is none.
+    """
+    x, order = mesh.points.copy(), np.random.default_rng(seed)
+    taken: set[int] = set()
+    moved = 0
+    cells_of = _cells_of_nodes(mesh)
+    for node in order.permutation(free):
+        star = cells_of[node]
+        if taken.intersection(mesh.cells[star].ravel().tolist()):
+            continue
+        target = _base_within_reach(mesh, int(node), star)
+        if target is None:
+            continue
+        x[node] += part * (target - x[node])
+        taken.add(int(node))
+        moved += 1
+        if moved == _MOST:
+            break
+    if not moved:
+        raise MeshError(f"{mesh.name}: no free node can be moved to a base of its cells without inverting others")
+    return x
+
+
+def _cells_of_nodes(mesh: Mesh) -> list[Ints]:
+    order = np.argsort(mesh.cells, axis=None, kind="stable")
+    ends = np.cumsum(np.bincount(mesh.cells.ravel(), minlength=len(mesh.points)))
+    return np.split(order // mesh.cells.shape[1], ends[:-1])
+
+
+def _base_within_reach(mesh: Mesh, node: int, star: Ints) -> Floats | None:
+    """Return the middle of a base opposite to the node, at which no cell of its star is inverted."""
+    cells = mesh.cells[star]
+    for cell in cells:
+        target = mesh.points[cell[cell != node]].mean(axis=0)
+        points = mesh.points.copy()
+        points[node] = target
+        if (signed_volumes(points, cells) >= _FLAT * mesh.rest_volumes[star]).all():
+            return np.asarray(target)
+    return None

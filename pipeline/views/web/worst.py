@@ -1,0 +1,52 @@
+"""The cells whose volume changed most, found a few frames at a time."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.mesh.simplex import Floats, Mesh
+
+if TYPE_CHECKING:
+    import xarray
+
+_VALUES = 4_000_000  # of volume ratios read at once: 32 MB
+
+
+@dataclass(frozen=True)
+class WorstCell:
+    """A cell at its largest |V / V0 - 1|: its ratio, when [s], and where its middle lies at rest [m]."""
+
+    cell: int
+    volume_ratio: float
+    time: float
+    place: tuple[float, ...]
+
+
+def worst_cells(statistics: "xarray.Dataset", mesh: Mesh, count: int) -> list[WorstCell]:
+    """Return the cells with the largest |V / V0 - 1| of all frames, the worst first; only finite ratios count."""
+    ratio, frame = _extremes(statistics["volume_ratio"])
+    change = np.abs(ratio - 1)
+    # by index among equals: symmetric bodies have equal cells, and the page must not depend on rounding of a sort
+    order = np.lexsort((np.arange(len(change)), -change))[:count]
+    middles = mesh.points[mesh.cells[order]].mean(axis=1)
+    times = statistics["time"].values[frame[order]]
+    return [
+        WorstCell(int(cell), float(ratio[cell]), float(time), tuple(middle))
+        for cell, time, middle in zip(order, times, middles.tolist(), strict=True)
+    ]
+
+
+def _extremes(ratios: "xarray.DataArray") -> tuple[Floats, np.ndarray]:
+    """Return every cell's ratio that is farthest from one, and its frame; one in frame 0 where none is finite."""
+    frames, cells = ratios.sizes["time"], ratios.sizes["cell"]
+    found, when = np.ones(cells), np.zeros(cells, dtype=np.int64)
+    block = max(1, _VALUES // cells)
+    for start in range(0, frames, block):
+        values = ratios.isel(time=slice(start, start + block)).transpose("time", "cell").values
+        values = np.where(np.isfinite(values), values, 1.0)
+        index = np.abs(values - 1).argmax(axis=0)
+        here = values[index, np.arange(cells)]
+        better = np.abs(here - 1) > np.abs(found - 1)
+        found[better], when[better] = here[better], start + index[better]
+    return found, when
