@@ -378,7 +378,7 @@ WRONG = [
         "schedule: frame_interval and steps_per_frame exclude each other",
     ),
     # Output and movie
-    ({"output.format": "xdmf"}, "output.format: 'xdmf' is not one of vtu"),
+    ({"output.format": "xdmf"}, "output.format: 'xdmf' is not one of vtu, vtkhdf"),
     ({"movie.variants": ["linaer"]}, "movie.variants.0: no variant 'linaer'; choose from linear, polar"),
     ({"movie.variants": ["polar", "polar"]}, "movie.variants.1: 'polar' is listed twice"),
     ({"movie.fps": 121}, "movie.fps: 121 is not between 1 and 120"),
