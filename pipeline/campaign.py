@@ -68,7 +68,7 @@ def run_campaign(
             for name, one in resolved.items()
             if _must_solve(one, problems[name], folder / name, force=force, resume=resume)
         ]
-        check_room(folder, {name: problems[name] for name in todo})
+        check_room(folder, {name: (problems[name], resolved[name].output) for name in todo})
         write_whole(folder / "case.toml", case.to_toml(folder))
         results = []
         for name, one in resolved.items():

@@ -58,7 +58,7 @@ FULL: dict[str, Any] = {
         "max_iterations": 50, "tangent": "projected", "inversion": "flip",
     },
     "schedule": {"dt": 0.01, "frames": 2, "steps_per_frame": 1},
-    "output": {"format": "vtu", "checkpoint_seconds": 10.0},
+    "output": {"format": "vtu", "precision": "float64", "checkpoint_seconds": 10.0, "checkpoint_frames": 1},
     "movie": {"variants": ["a"], "speed": 1.0, "fps": 30, "size": [64, 64], "title": "t"},
     "variants": {"a": {"method.law": "linear"}, "b": {"method.iterations": "converged", "schedule.dt": 0.01}},
 }  # fmt: skip

@@ -23,14 +23,24 @@ def with_free(monkeypatch, size: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cells", "frames", "planar"), [([1, 3, 1], 60, False), ([4, 12, 4], 12, False), ([8, 24], 20, True)]
+    ("cells", "frames", "output"),
+    [
+        ([1, 3, 1], 60, {}),
+        ([4, 12, 4], 12, {}),
+        ([4, 12, 4], 12, {"precision": "float32"}),
+        ([4, 12, 4], 12, {"format": "vtkhdf"}),
+        ([8, 24], 20, {}),
+    ],
 )
-def test_the_estimate_is_within_a_factor_of_two(tmp_path, cells, frames, planar):
+def test_the_estimate_is_within_a_factor_of_two(tmp_path, cells, frames, output):
+    planar = len(cells) == 2
     shape = {"shape": "rectangle", "size": [1.0, 3.0]} if planar else {"shape": "box", "size": [1.0, 3.0, 1.0]}
     sections = (PLANAR if planar else {}) | {"mesh": shape | {"cells": cells}}
-    case = load_case(write_case(tmp_path, **sections, variants={"only": {}}, schedule={"dt": 0.01, "frames": frames}))
+    case = load_case(
+        write_case(tmp_path, **sections, variants={"only": {}}, output=output, schedule={"dt": 0.01, "frames": frames})
+    )
     result = run_campaign(case, tmp_path / "out", movie=False)
-    told = sum(disk.needed_bytes(build(case.variant(name))) for name in case.variant_names)
+    told = sum(disk.needed_bytes(build(case.variant(name)), case.output) for name in case.variant_names)
     assert told / 2 < disk._size(result.folder) < 2 * told
 
 
@@ -47,7 +57,7 @@ def test_without_room_nothing_is_solved_and_both_numbers_are_told(tmp_path, monk
 def test_what_is_there_already_counts(tmp_path, monkeypatch):
     case = load_case(write_case(tmp_path, schedule={"dt": 0.02, "frames": 20}))
     result = run_campaign(case, tmp_path / "out", movie=False)
-    needed = sum(disk.needed_bytes(build(case.variant(name))) for name in case.variant_names)
+    needed = sum(disk.needed_bytes(build(case.variant(name)), case.output) for name in case.variant_names)
     with_free(monkeypatch, 0.7 * needed)
     assert run_campaign(case, tmp_path / "out", movie=False, force=True).variants[0].status == "finished"
     with_free(monkeypatch, 0.0)

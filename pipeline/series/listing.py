@@ -15,6 +15,7 @@ from pipeline.series.frame_files import SUFFIXES, fault, file_times
 from pipeline.series.own import is_own, unlisted
 
 _TEMPORAL = (".vtkhdf", ".xdmf")
+_OWN = ("series.pvd", "series.vtkhdf")
 _INDICES = (".pvd", ".series")
 
 
@@ -40,8 +41,8 @@ def listing(path: Path, *, strict: bool) -> Listing:
     """Return what a path names; raises SeriesError where that is nothing, and with `strict` for any missing frame."""
     index = _resolved(path)
     members, notes = _members(index)
-    ours = index.name == "series.pvd" and is_own(index.parent, tuple(member.file for member in members))
-    if ours:
+    ours = index.name in _OWN and is_own(index.parent, tuple(member.file for member in members))
+    if ours and index.suffix == ".pvd":
         members += [Member(*more) for more in unlisted(index.parent, len(members))]
     members, faults = _whole(members)
     if faults and strict:
@@ -76,7 +77,7 @@ def _resolved(path: Path) -> Path:
     """Return the index in a folder where there is one, else the path itself."""
     if not path.is_dir():
         return path
-    for name in ("series.pvd", "series.vtkhdf"):
+    for name in _OWN:
         if (path / name).exists():
             return path / name
     found = sorted(file for file in path.iterdir() if file.suffix in (*_INDICES, *_TEMPORAL))

@@ -14,9 +14,9 @@ def is_own(folder: Path, files: tuple[Path, ...]) -> bool:
         run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    place = folder / FRAMES
+    place, one = folder / FRAMES, folder / "series.vtkhdf"
     known = isinstance(run, dict) and {"status", "case", "versions"} <= run.keys()
-    return known and all(file.parent == place and file.match("frame_*.vtu") for file in files)
+    return known and all(file == one or (file.parent == place and file.match("frame_*.vtu")) for file in files)
 
 
 def unlisted(folder: Path, listed: int) -> list[tuple[float, Path]]:
