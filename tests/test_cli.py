@@ -10,7 +10,10 @@ import meshio
 import numpy as np
 import pytest
 
+from pipeline.campaign import run_campaign
+from pipeline.case import load_case
 from pipeline.cli import main
+from pipeline.cli.terminal import Bars
 from pipeline.errors import SolveError
 from pipeline.stepping.backward_euler import BackwardEuler
 from tests.bodies import without_figures, write_case
@@ -175,6 +178,21 @@ def test_another_case_is_refused_with_the_difference_and_forced(case, capfd):
     err = capfd.readouterr().err
     assert err.count("\n") == 1 and "schedule.dt: 0.02 there, 0.01 here" in err and "--force" in err
     assert run(*changed, "--force") == 0
+
+
+def test_the_bar_says_what_is_done_before_the_first_frame_and_which_model_a_step_needed(case):
+    said = []
+
+    class Display:
+        start = staticmethod(lambda: None)
+        add_task = staticmethod(lambda name, *, total, text: 0)
+        update = staticmethod(lambda task, *, completed, total, text: said.append(text))
+
+    bars = Bars(Display())
+    auto = load_case(case, overrides={"method.model": "auto"})
+    run_campaign(auto, Path("bars"), variants=["polar"], movie=False, notify=bars.solved, on_start=bars.started)
+    assert said[0].startswith("setting up")
+    assert len(said) == 2 + auto.schedule.frames and said[-1].split()[-1] in ("linear", "corotational")
 
 
 def test_a_failed_variant_is_one_line_and_exit_code_three(case, capfd, monkeypatch):
