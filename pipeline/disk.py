@@ -9,8 +9,8 @@ from pipeline.case.specs import OutputSpec
 from pipeline.errors import OutputError
 from pipeline.measures import QUANTILES
 
-# Fitted to eight scenes of 64 to 10 000 cells: 0.88 to 1.68 of what they took. Numbers of a motion hardly compress: base64 of
-# zlib's best of them is 1.27 of their size. Cells and regular rest points do.
+# Fitted to eight scenes of 64 to 10 000 cells: 0.88 to 1.68 of what they took. Numbers of a motion hardly compress:
+# base64 of zlib's best of them is 1.27 of their size. Cells and regular rest points do.
 _FRAME_HEAD, _FRAME_CELL = 6500, 7
 _ENCODED = {"vtu": 1.27, "vtkhdf": 1.0}
 _WORD = {"float64": 8, "float32": 4}
