@@ -5,14 +5,15 @@ BIN := .venv/bin
 OPENGL_PACKAGES := libegl1 libgl1-mesa-dri
 BROWSER_PACKAGES := chromium
 BROWSERS := chromium chromium-browser google-chrome google-chrome-stable
+PARAVIEW_PACKAGES := paraview python3-paraview xvfb xauth
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run report bench test test-web browser quick fuzz lint clean
+.PHONY: help setup run report bench test test-web test-paraview browser quick fuzz lint clean
 
 help: ## Show this list
 	@echo "usage: make TARGET [PYTHON=python3.12] [WORKERS=4]"
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: .venv/installed ## Create .venv, install everything into it; as root on Debian or Ubuntu the OpenGL libraries too
 	@if $(BIN)/python -m pipeline.opengl; then exit 0; fi; \
@@ -35,7 +36,8 @@ report: setup ## Every scene in full, from nothing -> outputs/reproduction.html 
 	for case in cases/*.toml; do $(BIN)/pipeline run $$case --quiet || exit 1; done
 
 bench: setup ## What a step costs beside plain scipy, in one run; minutes
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.steps --large
+	$(BIN)/pipeline study scaling cases/bar_as_printed.toml cases/mushroom_as_printed.toml cases/armadillo_as_printed.toml \
+		--cells 2x8x2 8x26x8 18x52x18 --out outputs/bench
 
 test: setup browser lint ## Everything that CI runs: lint, then all tests
 	$(PYTEST)
@@ -55,6 +57,15 @@ browser: ## As root on Debian: Chromium, which the tests of the web page drive
 	else \
 		echo "no browser: the tests of the web page will fail; on Debian: sudo $$line (or PIPELINE_SKIP_BROWSER=1)"; \
 	fi
+test-paraview: setup ## What Debian's ParaView reads and draws; as root on Debian it is installed (386 MB to download)
+	@if ! command -v pvbatch >/dev/null || ! command -v xvfb-run >/dev/null || ! command -v xauth >/dev/null; then \
+		line="apt-get install -y --no-install-recommends $(PARAVIEW_PACKAGES)"; \
+		if [ "$$(id -u)" = 0 ] && [ -e /etc/debian_version ]; then \
+			echo "installing ParaView: apt-get update && $$line"; \
+			export DEBIAN_FRONTEND=noninteractive; apt-get update -qq && $$line -qq >/dev/null; \
+		else echo "ParaView is missing; on Debian: sudo $$line" >&2; exit 1; fi; \
+	fi
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q tests/paraview
 
 quick: setup ## The tests that take no more than a few seconds each
 	$(PYTEST) -m "not slow"

@@ -48,10 +48,12 @@ def run_campaign(
     resume: bool = False,
     movie: bool = True,
     notify: Notify | None = None,
+    on_start: Callable[[str, Problem], None] | None = None,
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> CampaignResult:
     """Solve the variants asked for (default: all) into out/<case name>/ and compare every finished one.
 
+    `on_start` is told of a variant before its matrices are factored and, once a machine, its kernels compiled.
     `resume` goes on with an unfinished result where it stopped. Raises CaseError before anything is solved where a
     variant cannot be built, where a folder holds another case's result or an unfinished one and neither force nor
     resume is given, or where another run writes there; OutputError where files cannot be written; Interrupted after
@@ -73,6 +75,8 @@ def run_campaign(
         results = []
         for name, one in resolved.items():
             if name in todo:
+                if on_start is not None:
+                    on_start(name, problems[name])
                 solving = VariantRun(one, problems[name], folder / name, asked, notify)
                 results.append(solving.result(resume=resume and not force))
             else:

@@ -1,9 +1,9 @@
 """Every finished variant of a case side by side: comparison.nc, plots and the movie."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.build import settled
 from pipeline.case import Case, load_case
@@ -12,6 +12,11 @@ from pipeline.series import read_series
 from pipeline.sinks.formats import FORMATS
 from pipeline.statistics import joined, read_statistics, write_dataset
 from pipeline.variant_run import UNFINISHED, determining, read_run
+from pipeline.views.paraview import NAME as SCRIPT
+from pipeline.views.paraview import write_script
+
+if TYPE_CHECKING:
+    import xarray
 
 _DRAWN = ("comparison.mp4", "comparison.png")
 
@@ -25,10 +30,13 @@ def compare(
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> tuple[list[Path], list[str]]:
     """Join and draw every variant in the folder that is a result of this case; return the files made and notes."""
-    usable = [name for name, run in recorded(case, folder).items() if run["status"] not in UNFINISHED]
+    runs = {name: run for name, run in recorded(case, folder).items() if run["status"] not in UNFINISHED}
+    usable = list(runs)
     if not usable:
         return [], ["no variant left a frame: nothing to compare"]
-    paths = {n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png")}
+    paths = {
+        n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png", SCRIPT)
+    }
     if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in _DRAWN):
         return [], []
     for stale in _DRAWN:
@@ -45,6 +53,7 @@ def compare(
     if chosen := {name: one for name, one in statistics.items() if one.sizes.get("step")}:
         effort_figure(chosen, folder / "effort.png", title="The model that each step needed")
         made.append(folder / "effort.png")
+    made.append(_paraview(folder, dataset, {n: str(run["case"]["output"]["format"]) for n, run in runs.items()}))
     shown = [name for name in case.movie.variants if name in usable]
     if movie and shown:
         try:
@@ -53,6 +62,15 @@ def compare(
         except OutputError as error:
             notes.append(str(error))
     return made, notes
+
+
+def _paraview(folder: Path, dataset: "xarray.Dataset", formats: Mapping[str, str]) -> Path:
+    """Write the script that shows the variants in ParaView, all in the colours of one range."""
+    from pipeline.views.motion import SAMPLED_CELLS, radius_of
+
+    ratio = dataset["volume_ratio"].values[..., :: max(1, dataset.sizes["cell"] // SAMPLED_CELLS)]
+    indices = {name: f"{name}/{FORMATS[formats[name]].index}" for name in formats}
+    return write_script(folder, indices, radius=radius_of(abs(ratio - 1)))
 
 
 def draw_movie(

@@ -179,7 +179,7 @@ DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
         "warped": "conjugate gradients with the rest state's factor turned along, to method.linear_rtol; larger meshes",
         "banded": "Cholesky of the band, factors every new matrix; fastest on small meshes",
         "superlu": "sparse direct, factors every new matrix",
-        "pardiso": "sparse direct by Intel MKL (the `fast` extra), factors every new matrix; positive definite ones",
+        "pardiso": "sparse direct by Intel MKL (the `mkl` extra), factors every new matrix; positive definite ones",
         "cg": "conjugate gradients with block Jacobi to method.linear_rtol: for small steps",
     },
     "mesh.split": {

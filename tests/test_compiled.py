@@ -38,7 +38,11 @@ def test_forces_stiffness_and_energy_are_those_of_the_plain_body(bodies: tuple[B
         np.testing.assert_allclose(L, K, atol=1e-10 * K_scale)
     np.testing.assert_allclose(compiled.nodal_rotations(x), plain.nodal_rotations(x), atol=1e-9)
     np.testing.assert_allclose(compiled.force(x), f, atol=1e-11 * f_scale)
-    np.testing.assert_allclose(compiled.linearise(x, kind="projected")[1], plain.linearise(x, kind="projected")[1])
+    for kind in ("projected", "exact"):
+        g, L = compiled.linearise(x, kind=kind)
+        expected = plain.linearise(x, kind=kind)[1]
+        np.testing.assert_allclose(g, f, atol=1e-11 * f_scale)
+        np.testing.assert_allclose(L, expected, atol=1e-8 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("spread", [0.01, 0.3, 1.0, 30.0])

@@ -99,7 +99,7 @@ def test_the_bound_of_the_frequencies_is_one(cases_folder) -> None:
 def test_pardiso_without_mkl_says_what_to_install(monkeypatch) -> None:
     monkeypatch.setattr(pardiso, "library", lambda: None)
     pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
-    with pytest.raises(SolveError, match=r"pip install 'corotational-pipeline\[fast\]'"):
+    with pytest.raises(SolveError, match=r"pip install 'corotational-pipeline\[mkl\]'"):
         LINEAR_SOLVERS["pardiso"](pattern, 1e-8, None)
 
 

@@ -69,6 +69,7 @@ def _run(options: argparse.Namespace) -> int:
             resume=options.resume,
             movie=not options.no_movie,
             notify=bar.solved,
+            on_start=bar.started,
             on_drawing=bar.drawn,
         )
     if options.json:

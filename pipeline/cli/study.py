@@ -160,7 +160,46 @@ def _stability(options: argparse.Namespace) -> int:
     return 0
 
 
+def _scaling_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("cases", metavar="CASE", type=Path, nargs="+", help="case files")
+    parser.add_argument("--cells", metavar="NXxNYxNZ", nargs="+", default=[],
+                        help="boxes to try, such as 2x8x2 8x26x8; without them the case's own mesh")  # fmt: skip
+    parser.add_argument("--method", dest="methods", metavar="NAME", action="append", default=[],
+                        help="only this; may be repeated: linear, one_solve, auto, converged, explicit")  # fmt: skip
+    parser.add_argument("--rtol", type=float, default=1e-6, metavar="R",
+                        help="relative residual of the linear systems (1e-6)")  # fmt: skip
+    parser.add_argument("--no-baseline", action="store_true", help="without plain scipy, which takes most of the time")
+
+
+def _scaling(options: argparse.Namespace) -> int:
+    from pipeline.studies.scaling import scaling
+
+    if options.scheduler:
+        raise CaseError("--scheduler: costs are measured on this machine, one process after the other; leave it out")
+    with progress(options.quiet) as bar:
+        found = scaling(
+            [load_case(path) for path in options.cases],
+            options.out,
+            cells=[_counts(text) for text in options.cells],
+            methods=options.methods,
+            rtol=options.rtol,
+            baseline=not options.no_baseline,
+            on_point=lambda done, total: bar.read("scaling", done, total),
+        )
+    print(*found.lines(), f"bandwidth {found.bandwidth:.1f} GB/s", *(f"  {path}" for path in found.made), sep="\n")
+    return 0
+
+
+def _counts(text: str) -> list[int]:
+    """Return the cells along every axis of a text like 8x26x8; raises CaseError."""
+    try:
+        return [int(part) for part in text.split("x")]
+    except ValueError:
+        raise CaseError(f"--cells {text}: is not like 8x26x8") from None
+
+
 STUDIES: Mapping[str, Study] = {
+    "scaling": Study("how the cost of a step grows with the mesh, beside plain scipy", _scaling_arguments, _scaling),
     "stability": Study("what breaks at the extremes, method by method", _stability_arguments, _stability),
     "tradeoff": Study("which setting is enough: work against precision", _tradeoff_arguments, _tradeoff),
 }

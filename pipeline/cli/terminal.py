@@ -25,6 +25,11 @@ class Bars:
         self._display = display
         self._tasks: dict[str, Any] = {}
 
+    def started(self, name: str, problem: Problem) -> None:
+        """Show a variant that is set up: matrices are factored and, the first time on a machine, kernels compiled."""
+        total = problem.frames * problem.steps_per_frame
+        self._show(name, 0, total, "setting up; the first run on a machine compiles")
+
     def solved(self, name: str, problem: Problem, frame: Frame, measured: Values, summary: RunSummary) -> None:
         """Show a frame of a variant."""
         total = problem.frames * problem.steps_per_frame

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.fem.assembly import corners_by_row
 from pipeline.fem.body import Body
-from pipeline.fem.laws import Corotational, Law, Tangent
+from pipeline.fem.laws import CREASE, Corotational, Law, Tangent
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
 from pipeline.fem.turning import Turning, indicator
@@ -96,14 +96,19 @@ class CompiledBody(Body):
     def add_stiffness(
         self, x: Floats, scale: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
     ) -> None:
-        """Write the elastic forces into f (n, 3) and add scale * K to A (blocks, 3, 3); frozen ones are compiled."""
-        if kind != "frozen":
+        """Write the elastic forces into f (n, 3) and add scale * K to A (blocks, 3, 3)."""
+        if kind != "frozen" and R is not None:
             super().add_stiffness(x, scale, f, A, R=R, kind=kind)
             return
         from pipeline.fem import kernels
 
         used = _NO_ROTATIONS if R is None else _plain(R)
         kernels.linearise(_plain(x), *self._cells, self._pairs, scale, R is not None, used, f, A)
+        if kind != "frozen":
+            from pipeline.fem import tangent_kernels
+
+            projected = kind == "projected"
+            tangent_kernels.add_turning(_plain(x), *self._cells, self._pairs, scale, CREASE, projected, A)
 
 
 def _plain(x: Floats) -> Floats:

@@ -27,7 +27,7 @@ from pipeline.mesh.simplex import Floats
 
 Tangent = Literal["frozen", "projected", "exact"]
 # A_i -> 0 with c > 0 is a convex crease of W, whose curvature has no bound: this many shear moduli stand for it.
-_CREASE = 1e3
+CREASE = 1e3
 
 
 class Law(Protocol):
@@ -127,7 +127,7 @@ class Corotational:
         else:
             A, q = np.linalg.eigh(trace[:, None, None] * np.eye(3) - S)
             t = R[:, None] @ np.tensordot(np.swapaxes(q, 1, 2), _TURNS_3D, axes=1)
-        return mu + c / np.maximum(A, np.maximum(np.abs(c) / (_CREASE * mu), np.finfo(float).tiny)), t
+        return mu + c / np.maximum(A, np.maximum(np.abs(c) / (CREASE * mu), np.finfo(float).tiny)), t
 
 
 def isotropic(d: int, material: Material) -> Floats:

@@ -11,7 +11,8 @@ from pipeline.frame import Frame, Values
 from pipeline.measures import AXES, QUANTILES, VARIABLES, attributes
 from pipeline.mesh.simplex import Mesh
 
-_SCALAR_CHUNK = 256  # frames; the default of one would make a chunk, and its index entry, of every number
+_CHUNK = 256  # frames; the default of one would make a chunk, and its index entry, of every number
+_CELLS_CHUNK = 2048  # numbers of cells, where a frame has fewer: the index of chunks is kept in memory
 
 
 class NetcdfSink:
@@ -84,7 +85,7 @@ def _created(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
     for name, size in sizes.items():
         out.createDimension(name, size)
     made = {
-        "time": out.createVariable("time", "f8", ("time",), chunksizes=(_SCALAR_CHUNK,)),
+        "time": out.createVariable("time", "f8", ("time",), chunksizes=(_CHUNK,)),
         "quantile": out.createVariable("quantile", "f8", ("quantile",)),
         "axis": out.createVariable("axis", str, ("axis",)),
         "rest_volume": out.createVariable("rest_volume", "f8", ("cell",)),
@@ -95,13 +96,14 @@ def _created(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
     for name in measured:
         variable = VARIABLES[name]
         if variable.dims == ("step",):
-            made[name] = out.createVariable(name, "f8", ("step",), chunksizes=(_SCALAR_CHUNK,))
+            made[name] = out.createVariable(name, "f8", ("step",), chunksizes=(_CHUNK,))
             continue
         lengths = [sizes[dim] or 1 for dim in variable.dims]
-        chunks = (1 if "cell" in variable.dims else _SCALAR_CHUNK, *lengths)
+        frames = _CELLS_CHUNK // len(mesh.cells) if "cell" in variable.dims else _CHUNK
+        chunks = (min(max(frames, 1), _CHUNK), *lengths)
         made[name] = out.createVariable(name, "f8", ("time", *variable.dims), chunksizes=chunks)
     if "step" in sizes:
-        made["step"] = out.createVariable("step", "i8", ("step",), chunksizes=(_SCALAR_CHUNK,))
+        made["step"] = out.createVariable("step", "i8", ("step",), chunksizes=(_CHUNK,))
     for name, one in made.items():
         one.setncatts(attributes(name, mesh.dimension))
     made["time"].axis = "T"

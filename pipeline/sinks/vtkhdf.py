@@ -39,6 +39,7 @@ class VtkhdfSink:
         self.precision = precision
         self._times, self._room = list(earlier), max(frames, len(earlier))
         self._file: Any = None
+        self._datasets: Mapping[str, Any] = {}
 
     def write(self, frame: Frame, measured: Values) -> None:
         """Write one frame, then count it; raises OutputError."""
@@ -47,7 +48,7 @@ class VtkhdfSink:
             if not self._times:
                 self._make(frame, fields, self._room)
             elif self._file is None:
-                self._open()
+                self._open(fields)
             if self._times and len(self._times) == self._room:
                 self._make(frame, fields, 2 * self._room)
             self._append(frame.time, fields)
@@ -55,15 +56,14 @@ class VtkhdfSink:
     def close(self) -> None:
         """Close the file."""
         if self._file is not None:
-            file, self._file = self._file, None
+            file, self._file, self._datasets = self._file, None, {}
             with self._told("closed"):
                 os.fsync(file.id.get_vfd_handle())
                 file.close()
 
     def _append(self, time: float, fields: Fields) -> None:
-        root, place = self._file["VTKHDF"], len(self._times)
         for name, values in _moving(fields).items():
-            root[name][_rows(values, place)] = values
+            self._datasets[name][_rows(values, len(self._times))] = values
         self._times.append(time)
         _turn(self._file, self._times)
 
@@ -83,13 +83,14 @@ class VtkhdfSink:
             file["VTKHDF"] = root
         if before is not None:
             before.close()
-        self._open()
+        self._open(fields)
 
-    def _open(self) -> None:
+    def _open(self, fields: Fields) -> None:
         import h5py
 
         # not locked: others may read meanwhile
         self._file = h5py.File(self.path, "r+", locking=False)
+        self._datasets = {name: self._file["VTKHDF"][name] for name in _moving(fields)}
         self._room = len(self._file["VTKHDF/Steps/PointOffsets"])
         if self._times:
             _turn(self._file, self._times)

@@ -34,7 +34,7 @@ class VtuSink:
         self.folder = Path(folder)
         self.index = self.folder / "series.pvd"
         self.precision = precision
-        self._listed = [(t, frame_file(index)) for index, t in enumerate(earlier)]
+        self._rows = bytearray(pvd_rows((t, frame_file(index)) for index, t in enumerate(earlier)))
         self._indexed = -np.inf
         self._mesh: Mesh | None = None
         self._cells = self._rest = b""
@@ -43,17 +43,17 @@ class VtuSink:
         """Write one frame whole; the index follows within a second."""
         name = frame_file(frame.index)
         write_whole(self.folder / name, self._encoded(frame, measured))
-        self._listed.append((frame.time, name))
+        self._rows += pvd_rows([(frame.time, name)])
         if time.monotonic() - self._indexed >= _INDEX_SECONDS:
             self._write_index()
 
     def close(self) -> None:
         """Write the index of all frames."""
-        if self._listed:
+        if self._rows:
             self._write_index()
 
     def _write_index(self) -> None:
-        write_whole(self.index, pvd_text(self._listed))
+        write_whole(self.index, b"".join((_PVD_HEAD, self._rows, _PVD_TAIL)))
         self._indexed = time.monotonic()
 
     def _encoded(self, frame: Frame, measured: Values) -> bytes:
@@ -117,8 +117,19 @@ def frame_file(index: int) -> str:
     return f"frames/frame_{index:06d}.vtu"
 
 
-def pvd_text(listed: list[tuple[float, str]]) -> str:
-    """Return a ParaView index of (time [s], file) pairs."""
-    rows = [f"    <DataSet timestep={quoteattr(repr(t))} file={quoteattr(name)}/>" for t, name in listed]
-    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">'
-    return "\n".join([head, "  <Collection>", *rows, "  </Collection>", "</VTKFile>", ""])
+_PVD_HEAD = b"""<?xml version="1.0"?>
+<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">
+  <Collection>
+"""
+_PVD_TAIL = b"  </Collection>\n</VTKFile>\n"
+
+
+def pvd_rows(listed: Iterable[tuple[float, str]]) -> bytes:
+    """Return the lines of a ParaView index for (time [s], file) pairs."""
+    rows = (f"    <DataSet timestep={quoteattr(repr(t))} file={quoteattr(name)}/>\n" for t, name in listed)
+    return "".join(rows).encode()
+
+
+def pvd_text(listed: Iterable[tuple[float, str]]) -> bytes:
+    """Return a whole ParaView index of (time [s], file) pairs."""
+    return b"".join((_PVD_HEAD, pvd_rows(listed), _PVD_TAIL))

@@ -91,7 +91,7 @@ def choice(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[
     if band <= most:
         return "banded", f"the matrix {kind}; its band takes {band:.3g} MB, at most {most:g}"
     why = f"the matrix {kind}; its band would take {band:.3g} MB, more than {most:g}"
-    size = _FACTOR_BYTES * (pattern.nodes * pattern.dimension) ** (4 / 3) * (2 if constant else 1)
+    size = factor_bytes(pattern, "pardiso" if constant else "warped")
     if size > _MOST_OF_MEMORY * _memory():
         return "cg", f"{why}; a sparse factor would take {size / 1e9:.3g} GB, too much for this machine"
     if constant:
@@ -99,6 +99,19 @@ def choice(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[
     if factor_kind(band) != "banded" and stiffness <= _SOFT:
         return "cg", f"{why}; the step is short: h omega_max is {stiffness:.3g}, at most {_SOFT:g}"
     return "warped", f"{why}; h omega_max is up to {stiffness:.3g}; the factor at rest is {factor_kind(band)}"
+
+
+def factor_bytes(pattern: BlockPattern, name: str) -> float:
+    """Return what the factor of a solver takes [bytes]: of a band exactly, of a sparse one about; 0 without one."""
+    band = band_of(pattern).megabytes
+    dofs = pattern.nodes * pattern.dimension
+    if name == "cg":
+        return 0.0
+    if name == "banded":
+        return 1e6 * band
+    if name == "warped":
+        return 0.5e6 * band if factor_kind(band) == "banded" else _FACTOR_BYTES * dofs ** (4 / 3)
+    return 2 * _FACTOR_BYTES * dofs ** (4 / 3)
 
 
 def _memory() -> float:

@@ -1,6 +1,6 @@
 """Intel MKL's sparse Cholesky ("Pardiso"), called through its C interface: the fastest factor of large meshes here.
 
-Optional: the `fast` extra installs the `mkl` wheel where there is one (x86-64, Linux and Windows).
+Optional: the `mkl` extra installs Intel's wheel where there is one (x86-64, Linux and Windows); it is proprietary.
 """
 
 import ctypes
@@ -113,7 +113,7 @@ class Pardiso:
     def __init__(self, pattern: BlockPattern, rtol: float = 0.0, rest: object = None) -> None:
         if library() is None:
             raise SolveError(
-                "method.linear_solver = 'pardiso' needs the mkl package: pip install 'corotational-pipeline[fast]'"
+                "method.linear_solver = 'pardiso' needs the mkl package: pip install 'corotational-pipeline[mkl]'"
             )
         self._factor = Factor(pattern, np.float64)
 

@@ -95,8 +95,12 @@ def colour_radius(tracks: Sequence[Track]) -> float:
     Weighted by the deviation itself, so that neither a long rest after a short motion nor one bad cell decides:
     unweighted, the thesis bar, at rest for six of seven seconds, would get a range of 2 % for a motion of 100 %.
     """
-    pooled = np.concatenate([track.sample for track in tracks]).astype(np.float64)
-    pooled = np.sort(pooled[np.isfinite(pooled)])
+    return radius_of(np.concatenate([track.sample for track in tracks]))
+
+
+def radius_of(deviations: NDArray[np.floating]) -> float:
+    """Return r of the colour range for all |V / V0 - 1| of a motion, or a sample of them."""
+    pooled = np.sort(deviations[np.isfinite(deviations)].astype(np.float64), axis=None)
     held = np.cumsum(pooled)
     wanted = pooled[np.searchsorted(held, 0.6 * held[-1])] if pooled.size else 0.0
     return next((r for r in RADII if r >= wanted), RADII[-1])

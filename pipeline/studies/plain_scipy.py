@@ -52,5 +52,5 @@ class PlainStep:
             inverse = 1 / A.diagonal()
             M = LinearOperator(A.shape, matvec=lambda r: inverse * r.ravel())
             new[self.free], _ = cg(A, b, x0=v.ravel()[self.free], rtol=self.rtol, M=M, maxiter=5000)
-        new = new.reshape(v.shape)
-        return x + h * new, new
+        v_new = new.reshape(v.shape)
+        return x + h * v_new, v_new

@@ -1,0 +1,136 @@
+"""What a step of one method costs on one mesh, measured alone in a process: python -m pipeline.studies.cost JSON.
+
+The process prints one line of JSON. Each point has a process of its own, so that the peak of memory is its own.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.build import Problem, build
+from pipeline.case import load_case
+from pipeline.methods import linear_solvers
+from pipeline.stepping.linear_solve import factor_bytes
+from pipeline.stepping.state import Stepper
+from pipeline.stepping.symplectic_euler import element_limit
+from pipeline.studies.plain_scipy import PlainStep
+
+# what a case of any kind is turned into; the explicit step is half its limit
+METHODS: dict[str, dict[str, Any]] = {
+    "linear": {"method.law": "linear"},
+    "one_solve": {"method.law": "corotational", "method.iterations": 1},
+    "auto": {"method.model": "auto"},
+    "converged": {"method.law": "corotational", "method.iterations": "converged"},
+    "explicit": {"method.stepper": "symplectic_euler", "method.mass": "lumped"},
+}
+_SECONDS, _MOST_STEPS, _LEAST_STEPS = 3.0, 200, 3
+_PLAIN_SUPERLU = 50_000  # cells: above it a factor a step takes minutes
+
+
+def measured(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of one point: see scaling.py for what its columns mean."""
+    problem = _problem(settings)
+    body, method = problem.body, settings["method"]
+    began = time.perf_counter()
+    stepper = problem.prepare()
+    setup = time.perf_counter() - began
+    ms, iterations, solves = _timed(stepper, problem)
+    cells = len(body.mesh.cells)
+    solvers = linear_solvers(body, problem.dt, problem.method)
+    row = {
+        "method": method,
+        "cells": settings.get("cells"),
+        "tets": cells,
+        "nodes": len(body.mesh.points),
+        "dt": problem.dt,
+        "ms": ms,
+        "ns_per_tet": 1e6 * ms / cells,
+        "solves": solves,
+        "linear_iterations": iterations,
+        "setup_s": setup,
+        "linear_solver": [one["name"] for one in solvers],
+        "bytes": _bytes(problem, method, solves, iterations, solvers),
+        "baseline_ms": _plain(problem) if method == "one_solve" and settings["baseline"] else None,
+        "baseline": "plain scipy: the better of SuperLU and Jacobi-CG" if method == "one_solve" else None,
+    }
+    return row | {"peak_MB": _peak_megabytes()}
+
+
+def _problem(settings: dict[str, Any]) -> Problem:
+    cells = {"mesh.cells": settings["cells"]} if settings.get("cells") else {}
+    keys = METHODS[settings["method"]] | cells | {"method.linear_rtol": settings["rtol"]}
+    path, variant = Path(settings["case"]), settings["variant"]
+    if settings["method"] == "explicit":
+        keys |= {"schedule.dt": 0.5 * element_limit(build(load_case(path, overrides=cells).variant(variant)).body)}
+    return build(load_case(path, overrides=keys).variant(variant))
+
+
+def _timed(stepper: Stepper, problem: Problem) -> tuple[float, float, float]:
+    """Return median milliseconds, linear iterations and solves of a step, the first left out."""
+    state, _ = stepper.step(problem.start)
+    times: list[float] = []
+    iterations, solves = [], []
+    while len(times) < _LEAST_STEPS or (sum(times) < _SECONDS and len(times) < _MOST_STEPS):
+        began = time.perf_counter()
+        state, work = stepper.step(state)
+        times.append(time.perf_counter() - began)
+        iterations.append(work.linear_iterations)
+        solves.append(work.solves)
+    return 1e3 * float(np.median(times)), float(np.median(iterations)), float(np.median(solves))
+
+
+def _plain(problem: Problem) -> float:
+    """Return the median milliseconds of a step of plain scipy: the better of its direct and its iterative solver."""
+    found = []
+    for solver in ("cg", "superlu") if len(problem.body.mesh.cells) <= _PLAIN_SUPERLU else ("cg",):
+        stepper = PlainStep(problem.body, problem.dt, solver)
+        x, v = stepper.step(problem.start.x, problem.start.v)
+        times: list[float] = []
+        while len(times) < _LEAST_STEPS or (sum(times) < _SECONDS and len(times) < _MOST_STEPS):
+            began = time.perf_counter()
+            x, v = stepper.step(x, v)
+            times.append(time.perf_counter() - began)
+        found.append(1e3 * float(np.median(times)))
+    return min(found)
+
+
+def _bytes(problem: Problem, method: str, solves: float, iterations: float, solvers: list[dict[str, str]]) -> float:
+    """Return what a step has to read and write at least, vectors left out: cells, matrix and factor.
+
+    A cell is its corners, gradients, volume and blocks; the matrix is written once and read once an iteration; a factor
+    is read twice a solve, or an iteration.
+    """
+    body, pattern = problem.body, problem.body.free_pattern
+    per_cell = body.mesh.shape_gradients[0, 1:].nbytes + 8 + 4 * body.mesh.cells.shape[1]
+    cells = len(body.mesh.cells)
+    if method == "explicit":
+        return float(cells * per_cell)
+    matrix = 8.0 * pattern.blocks * pattern.dimension**2
+    factor = factor_bytes(pattern, solvers[-1]["name"])
+    if method == "linear":
+        return matrix + 2 * factor
+    blocks = 4 * body.assembly.pairs.shape[1]
+    linearised = cells * (per_cell + blocks) + 2 * matrix
+    return solves * linearised + iterations * matrix + 2 * max(solves, iterations) * factor
+
+
+def _peak_megabytes() -> float | None:
+    """Return the process' largest memory; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def main() -> None:
+    """Print the row of the settings given as JSON."""
+    sys.stdout.write(json.dumps(measured(json.loads(sys.argv[1]))) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""How the cost of a step grows with the mesh, method by method, beside plain scipy and the machine's bandwidth.
+
+bench.json has a row a point: case, method, cells, tets, nodes, dt [s], ms (median of a step), ns_per_tet, solves and
+linear_iterations of a step, setup_s, peak_MB (of a process of its own), linear_solver, bytes (what a step moves at
+least), bound_ms (those over the measured bandwidth), baseline_ms (one corotational solve by plain scipy), error.
+"""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.case import Case
+from pipeline.errors import CaseError, OutputError
+from pipeline.sinks.atomic import whole_file, write_whole
+from pipeline.studies.cost import METHODS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_COLOURS = {
+    "linear": "#D55E00", "one_solve": "#0072B2", "auto": "#1b1e28", "converged": "#009E73", "explicit": "#CC79A7",
+}  # fmt: skip
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """The rows, the bandwidth [GB/s] that they are compared with, and the files made."""
+
+    rows: tuple[Row, ...]
+    bandwidth: float
+    made: tuple[Path, ...]
+
+    def lines(self) -> list[str]:
+        """Return the table, a line a point."""
+        head = "method         tets   ms a step   ns a tet   iterations   set-up s   peak MB   bound ms   plain scipy"
+        return [head, *map(_line, self.rows)]
+
+
+def scaling(
+    cases: Sequence[Case],
+    out: Path,
+    *,
+    cells: Sequence[Sequence[int]] = (),
+    methods: Sequence[str] = (),
+    rtol: float = 1e-6,
+    baseline: bool = True,
+    on_point: Callable[[int, int], None] | None = None,
+) -> Scaling:
+    """Return what steps of cases cost, of boxes with so many `cells` each; writes bench.json and scaling.png to `out`.
+
+    A mesh from a file is taken as it is. Raises CaseError where a method is unknown, OutputError where files cannot be
+    written. A point that fails is a row with its `error`.
+    """
+    if unknown := [name for name in methods if name not in METHODS]:
+        raise CaseError(f"--method {unknown[0]}: is not one of {', '.join(METHODS)}")
+    points: list[dict[str, Any]] = []
+    for case in cases:
+        file = out / "cases" / f"{case.name}.toml"
+        write_whole(file, case.to_toml(file.parent))
+        point = {"name": case.name, "case": str(file), "variant": _plainest(case), "rtol": rtol, "baseline": baseline}
+        meshes = [list(one) for one in cells] if cells and case.mesh.shape else [None]
+        points += [point | {"cells": mesh, "method": name} for mesh in meshes for name in (methods or METHODS)]
+    rows, bandwidth = [], _bandwidth()
+    for index, point in enumerate(points):
+        rows.append({"case": point["name"]} | _row(point, bandwidth))
+        if on_point is not None:
+            on_point(index + 1, len(points))
+    machine = {"processor": platform.machine(), "cores": os.cpu_count(), "bandwidth_GB_per_s": bandwidth}
+    said = "one thread; times are medians over steps, writing left out; linear systems to a relative residual of rtol"
+    path = out / "bench.json"
+    write_whole(path, json.dumps({"rows": rows, "machine": machine, "rtol": rtol, "note": said}, indent=2) + "\n")
+    _figure(rows, out / "scaling.png")
+    return Scaling(tuple(rows), bandwidth, (path, out / "scaling.png"))
+
+
+def _plainest(case: Case) -> str:
+    """Return the variant that says least of its own: what is set for a point must not be undone by it."""
+    return min(case.variant_names, key=lambda name: len(case.variant(name).own_keys))
+
+
+def _row(point: Row, bandwidth: float) -> Row:
+    """Return the row of one point, measured in a process of its own on one thread."""
+    environment = os.environ | dict.fromkeys(_THREADS, "1")
+    command = [sys.executable, "-m", "pipeline.studies.cost", json.dumps(point)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        said = (done.stderr.strip().splitlines() or [f"the process ended with {done.returncode}"])[-1]
+        return {"method": point["method"], "cells": point["cells"], "error": said}
+    row: Row = json.loads(done.stdout)
+    return row | {"bound_ms": row["bytes"] / bandwidth / 1e6, "error": None}
+
+
+def _bandwidth() -> float:
+    """Return what one thread copies [GB/s], read and written: the best of some copies of 200 MB."""
+    source = np.ones(25_000_000)
+    target = np.empty_like(source)
+    times = []
+    for _ in range(5):
+        began = time.perf_counter()
+        np.copyto(target, source)
+        times.append(time.perf_counter() - began)
+    return 2 * source.nbytes / min(times) / 1e9
+
+
+def _line(row: Row) -> str:
+    if row["error"]:
+        return f"{row['method']:<10} {row['cells']}: {row['error']}"
+    peak = f"{row['peak_MB']:9.0f}" if row["peak_MB"] else f"{'':9}"
+    plain = f"{row['baseline_ms']:10.2f} ({row['baseline_ms'] / row['ms']:.1f} x)" if row["baseline_ms"] else ""
+    return (
+        f"{row['method']:<10} {row['tets']:8d} {row['ms']:11.3f} {row['ns_per_tet']:10.0f} "
+        f"{row['linear_iterations']:12g} {row['setup_s']:10.3f} {peak} {row['bound_ms']:10.3f}   {plain}"
+    )
+
+
+def _figure(rows: Sequence[Row], path: Path) -> None:
+    """Write the cost of a step against the size of the mesh, both logarithmic; raises OutputError."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from pipeline.views.plots import STYLE
+
+    good = [row for row in rows if not row["error"]]
+    if not good:
+        raise OutputError(f"{path}: no point was measured: {rows[0]['error']}")
+    with rc_context(STYLE):
+        figure = Figure(figsize=(8.0, 5.6), dpi=120)
+        FigureCanvasAgg(figure)
+        figure.set_layout_engine("constrained")
+        axes = figure.subplots()
+        for method, colour in _COLOURS.items():
+            _draw(axes, [row for row in good if row["method"] == method], method, colour)
+        axes.set(xscale="log", yscale="log", xlabel="tetrahedra", ylabel="ms a step")
+        title = "Cost of a step; dotted: what the bandwidth allows, dashed: plain scipy"
+        axes.set_title(title, loc="left", fontsize=10)
+        axes.grid(visible=True, which="major", color="#e3e5ea")
+        axes.legend(frameon=False)
+        with whole_file(path) as hidden:
+            figure.savefig(hidden, metadata={"Software": None})
+
+
+def _draw(axes: "Axes", rows: Sequence[Row], method: str, colour: str) -> None:
+    if not rows:
+        return
+    tets = [row["tets"] for row in rows]
+    axes.plot(tets, [row["ms"] for row in rows], "o-", color=colour, label=method)
+    axes.plot(tets, [row["bound_ms"] for row in rows], ":", color=colour)
+    plain = [(row["tets"], row["baseline_ms"]) for row in rows if row["baseline_ms"]]
+    if plain:
+        axes.plot(*zip(*plain, strict=True), "s--", color="#7d8597", label="one_solve, plain scipy")
