@@ -57,6 +57,7 @@ browser: ## As root on Debian: Chromium, which the tests of the web page drive
 	else \
 		echo "no browser: the tests of the web page will fail; on Debian: sudo $$line (or PIPELINE_SKIP_BROWSER=1)"; \
 	fi
+
 test-paraview: setup ## What Debian's ParaView reads and draws; as root on Debian it is installed (386 MB to download)
 	@if ! command -v pvbatch >/dev/null || ! command -v xvfb-run >/dev/null || ! command -v xauth >/dev/null; then \
 		line="apt-get install -y --no-install-recommends $(PARAVIEW_PACKAGES)"; \

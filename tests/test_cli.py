@@ -299,6 +299,7 @@ def test_the_command_in_a_process_of_its_own(case, tmp_path):
         "comparison.nc",
         "volume.png",
         "energy.png",
+        "open_in_paraview.py",
     }
     for name in ("volume.png", "energy.png"):
         assert (tmp_path / "o" / "beam" / name).read_bytes().startswith(b"\x89PNG")
