@@ -27,7 +27,7 @@ from pipeline.stepping.warped import factor_kind
 # changes is factored every step, which costs the band's width more; from here on one factor, warped, is faster.
 _CONSTANT_BAND = 20.0
 _CONSTANT_BAND_WITHOUT_MKL = 60.0
-_CHANGING_BAND = 1.5
+_CHANGING_BAND = 0.5
 # a factor in single precision by nested dissection, measured at 10k and 100k tetrahedra: bytes over dofs^(4/3)
 _FACTOR_BYTES = 63.0
 _MOST_OF_MEMORY = 0.5
