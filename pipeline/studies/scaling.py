@@ -154,6 +154,7 @@ def _figure(rows: Sequence[Row], path: Path) -> None:
 def _draw(axes: "Axes", rows: Sequence[Row], method: str, colour: str) -> None:
     if not rows:
         return
+    rows = sorted(rows, key=lambda row: int(row["tets"]))
     tets = [row["tets"] for row in rows]
     axes.plot(tets, [row["ms"] for row in rows], "o-", color=colour, label=method)
     axes.plot(tets, [row["bound_ms"] for row in rows], ":", color=colour)
