@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import xarray
 
 _DRAWN = ("comparison.mp4", "comparison.png")
+_EFFORT = "effort.png"  # where a variant has model = "auto"
 
 
 def compare(
@@ -39,8 +40,8 @@ def compare(
     }
     if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in _DRAWN):
         return [], []
-    for stale in _DRAWN:
-        paths[stale].unlink(missing_ok=True)
+    for stale in (*_DRAWN, _EFFORT):
+        (folder / stale).unlink(missing_ok=True)
     title = case.movie.title or case.name.replace("_", " ")
     statistics = {name: read_statistics(folder / name / "statistics.nc") for name in usable}
     dataset, notes = joined(statistics, title=title)
@@ -51,8 +52,8 @@ def compare(
     energy_figure(dataset, paths["energy.png"], title=title)
     made = [paths["comparison.nc"], paths["volume.png"], paths["energy.png"]]
     if chosen := {name: one for name, one in statistics.items() if one.sizes.get("step")}:
-        effort_figure(chosen, folder / "effort.png", title="The model that each step needed")
-        made.append(folder / "effort.png")
+        effort_figure(chosen, folder / _EFFORT, title="The model that each step needed")
+        made.append(folder / _EFFORT)
     made.append(_paraview(folder, dataset, {n: str(run["case"]["output"]["format"]) for n, run in runs.items()}))
     shown = [name for name in case.movie.variants if name in usable]
     if movie and shown:

@@ -10,8 +10,9 @@ from pipeline.build import Problem
 from pipeline.errors import SolveError
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
-from pipeline.measures import spatial
-from pipeline.mesh.simplex import Floats, quality, signed_volumes
+from pipeline.frame import Frame
+from pipeline.measures import measure, spatial
+from pipeline.mesh.simplex import Floats, quality
 from pipeline.methods import STEP_LIMITS
 from pipeline.series.writer import encoded
 from pipeline.sinks.atomic import write_whole
@@ -109,13 +110,13 @@ def examined(problem: Problem, state: State) -> Failure:
     with np.errstate(all="ignore"):  # it may be about to blow up
         F = deformation_gradient(mesh, state.x)
         ahead = deformation_gradient(mesh, state.x + problem.dt * state.v)
-        R = polar(F)
+        measured = measure(Frame(0, 0.0, mesh, state.x))
         return Failure(
             problem,
             state,
-            volume_ratio=signed_volumes(state.x, mesh.cells) / mesh.rest_volumes,
-            rotation_angle=np.degrees(angle(R)),
+            volume_ratio=measured["volume_ratio"],
+            rotation_angle=measured["rotation_angle"],
             energy_density=body.law.energy_density(F, body.law.rotations(F)),
-            turn=np.degrees(angle(np.swapaxes(R, 1, 2) @ polar(ahead))),
+            turn=np.degrees(angle(np.swapaxes(polar(F), 1, 2) @ polar(ahead))),
             quality=quality(mesh),
         )

@@ -18,7 +18,7 @@ class Frame:
     """One instant of a motion: where the nodes of a rest mesh are now.
 
     `known` holds what only the solver knows (energies, momenta, iterations), by the names of
-    `measures.VARIABLES`; it is empty, and v, work and state are None, for a foreign series.
+    `measures.VARIABLES` and `STEPS`; it is empty, and v, work and state are None, for a foreign series.
     """
 
     index: int

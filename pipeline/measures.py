@@ -42,6 +42,9 @@ VARIABLES: Mapping[str, Variable] = {
     "newton_iterations": Variable((), "1", "linear systems solved since the frame before"),
     "rung": Variable((), "1", "highest model since the frame before: 0 linear, 1 corotational, 2 converged"),
     "indicator": Variable((), "1", "what the spurious volume of no step since the frame before exceeds"),
+}
+# numbers of each step since the frame before, of model = "auto"
+STEPS: Mapping[str, Variable] = {
     "step_rung": Variable(("step",), "1", "model that the step needed: 0 linear, 1 corotational, 2 converged"),
     "step_solves": Variable(("step",), "1", "linear systems solved in the step"),
     "step_indicator": Variable(("step",), "1", "what the spurious volume of the step does not exceed"),
@@ -54,6 +57,7 @@ FIXED: Mapping[str, Variable] = {
     "axis": Variable(("axis",), "1", "axis of space"),
     "step": Variable((), "1", "number of the time step, from 1 on"),
 }
+_TABLES = {**VARIABLES, **STEPS, **FIXED}
 AXES = ("x", "y", "z")
 # in the plane a volume is an area and an energy is per metre of thickness
 _PLANAR_UNITS = {"m3": "m2", "J": "J m-1", "kg m s-1": "kg s-1", "kg m2 s-1": "kg m s-1"}
@@ -61,13 +65,13 @@ _PLANAR_UNITS = {"m3": "m2", "J": "J m-1", "kg m s-1": "kg s-1", "kg m2 s-1": "k
 
 def units(name: str, dimension: int) -> str:
     """Return the unit of a variable for a body of that dimension; a planar one has unit thickness."""
-    unit = (VARIABLES.get(name) or FIXED[name]).units
+    unit = _TABLES[name].units
     return _PLANAR_UNITS.get(unit, unit) if dimension == 2 else unit
 
 
 def attributes(name: str, dimension: int) -> dict[str, str]:
     """Return the CF attributes of a variable or coordinate for a body of that dimension."""
-    return {"units": units(name, dimension), "long_name": (VARIABLES.get(name) or FIXED[name]).long_name}
+    return {"units": units(name, dimension), "long_name": _TABLES[name].long_name}
 
 
 def spatial(vector: Floats) -> Floats:
@@ -77,7 +81,7 @@ def spatial(vector: Floats) -> Floats:
 
 
 def measure(frame: Frame) -> Values:
-    """Return the value of every variable that can be known of this frame, by the names of VARIABLES."""
+    """Return the value of every variable that can be known of this frame, by the names of VARIABLES and STEPS."""
     mesh = frame.mesh
     volumes = signed_volumes(frame.x, mesh.cells)
     ratio = volumes / mesh.rest_volumes

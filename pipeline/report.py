@@ -14,6 +14,7 @@ from pipeline.series import Series, read_series
 from pipeline.variant_run import UNFINISHED, determining, difference, read_run
 from pipeline.version import VERSION
 from pipeline.views.blocks import Block, Heading, Listing, Paragraph, Table
+from pipeline.views.paraview import NAME as SCRIPT
 from pipeline.views.web.page import Result, Side, write_page
 from pipeline.views.web.solids import OnFrame
 
@@ -114,10 +115,6 @@ def _again(folder: Path) -> list[Block]:
         f"pipeline run {place}/case.toml --out again    # solve the same case again",
         f"pipeline movie {place}    # draw the movie again, from the frames",
         f"pipeline report {place}    # write this page again",
-        f"paraview {place}/{next(iter(_indices(folder)), '*/series.pvd')}    # look into every frame",
+        f"paraview --script={place}/{SCRIPT}    # look into every frame",
     )
     return [Heading(_AGAIN), Listing("\n".join(lines))]
-
-
-def _indices(folder: Path) -> list[str]:
-    return sorted(path.relative_to(folder).as_posix() for path in folder.glob("*/series.pvd"))

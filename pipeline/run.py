@@ -10,7 +10,7 @@ from pipeline.build import Problem
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.frame import Frame, Sink, Values
-from pipeline.measures import measure, spatial
+from pipeline.measures import STEPS, measure, spatial
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping.state import State, Stepper, Work
 
@@ -101,16 +101,15 @@ def _frame(problem: Problem, state: State, work: Work) -> Frame:
 
 
 def _effort(problem: Problem, work: Work) -> dict[str, Floats]:
-    """Return what the steps since the frame before took, by the names of measures.VARIABLES."""
+    """Return what the steps since the frame before took, by the names of measures.VARIABLES and STEPS."""
     effort = {"newton_iterations": np.asarray(float(work.iterations))}
     if problem.method.model != "auto":
         return effort
     # as many numbers in every frame: none of the steps before the first one has happened
     steps = np.full((problem.steps_per_frame, 3), np.nan)
     steps[len(steps) - len(work.history) :] = np.reshape(work.history, (-1, 3))
-    names = ("step_rung", "step_solves", "step_indicator")
     whole = {"rung": np.asarray(float(work.rung)), "indicator": np.asarray(work.indicator)}
-    return effort | whole | dict(zip(names, steps.T.copy(), strict=True))
+    return effort | whole | dict(zip(STEPS, steps.T.copy(), strict=True))
 
 
 def dynamics(body: Body, state: State) -> dict[str, Floats]:

@@ -24,7 +24,7 @@ def series_statistics(series: Series) -> "xarray.Dataset":
 
     mesh = series.mesh
     rows = [measure(frame) for frame in series]
-    names = [n for n, v in VARIABLES.items() if v.dims != ("step",) and all(n in row for row in rows)]
+    names = [name for name in VARIABLES if all(name in row for row in rows)]
     d = mesh.dimension
     data = {
         name: (("time", *VARIABLES[name].dims), np.stack([row[name] for row in rows]), attributes(name, d))

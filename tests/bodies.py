@@ -54,12 +54,12 @@ def solid(
 
 def clamped_bar(**keywords: object) -> Body:
     mesh = thesis_bar(str(keywords.pop("split", "kuhn")))
-    return solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), **keywords)  # type: ignore[arg-type]
+    return solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), **keywords)  # type: ignore[arg-type]  # checked when it is called
 
 
 def stepper(body: Body, dt: float, **method: object) -> Stepper:
     """Backward Euler, unless `stepper` among the method's keys names another."""
-    spec = MethodSpec(**method)  # type: ignore[arg-type]
+    spec = MethodSpec(**method)  # type: ignore[arg-type]  # pydantic checks them
     return STEPPERS[spec.stepper](body, dt, spec)
 
 

@@ -78,7 +78,7 @@ def _vtk_error_log() -> list[str]:
     def note(_window: object, _event: str, text: str) -> None:
         log.append(text.strip())
 
-    note.CallDataType = "string0"  # type: ignore[attr-defined]
+    note.CallDataType = "string0"  # type: ignore[attr-defined]  # how VTK is told to hand over the text
     window = vtkStringOutputWindow()
     window.AddObserver(vtkCommand.ErrorEvent, note)
     vtkStringOutputWindow.SetInstance(window)

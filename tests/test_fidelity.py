@@ -1,6 +1,7 @@
 """model = "auto": no accepted step has more spurious volume than asked for, and the cheapest rung that keeps it."""
 
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import xarray
 
 from pipeline import build, frames, load_case
+from pipeline.analysis import compare
 from pipeline.campaign import run_campaign
 from pipeline.errors import CaseError
 from pipeline.fem.body import Body
@@ -157,3 +159,23 @@ def test_what_every_step_needed_is_recorded_plotted_and_made_again_from_frames(t
     with xarray.open_dataset(result.folder / "comparison.nc") as comparison:
         assert "step" not in comparison.dims and "rung" in comparison
     assert result.folder / "effort.png" in result.made
+
+
+def test_recorded_steps_do_not_disturb_what_reads_frames(tmp_path) -> None:
+    overrides = {"method.model": "auto", "schedule.steps_per_frame": 3, "schedule.frames": 4}
+    case = load_case(CASES / "bar.toml", overrides=overrides)
+    folder = run_campaign(case, tmp_path, variants=["polar", "linear"], movie=False).folder
+    found = compare([folder / "polar", folder / "linear"], tmp_path / "compared")
+    with xarray.open_dataset(found.folder / "comparison.nc") as joined:
+        assert "rung" in joined and "step" not in joined.dims and joined.sizes["time"] == 5
+    with xarray.open_dataset(folder / "polar" / "series.pvd", engine="corotational-pipeline") as lazy:
+        assert lazy["step_rung"].dims == ("time", "step_of_frame") and lazy["step_rung"].shape == (5, 3)
+
+
+def test_the_plot_of_efforts_goes_with_the_variants_that_it_shows(tmp_path) -> None:
+    keys = {"schedule.frames": 2, "mesh.cells": [1, 2, 1]}
+    run = partial(run_campaign, out=tmp_path, variants=["polar"], movie=False, force=True)
+    folder = run(load_case(CASES / "bar.toml", overrides=keys | {"method.model": "auto"})).folder
+    assert (folder / "effort.png").is_file()
+    run(load_case(CASES / "bar.toml", overrides=keys))
+    assert not (folder / "effort.png").exists()

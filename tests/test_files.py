@@ -27,8 +27,7 @@ SCENES = {"3D": {}, "2D": PLANAR}
 ROOT = os.path.dirname(os.path.dirname(__file__))
 
 # what model = "auto" adds is not there for a fixed one
-AUTO = {"rung", "indicator", "step_rung", "step_solves", "step_indicator"}
-FIXED_MODEL = VARIABLES.keys() - AUTO
+FIXED_MODEL = VARIABLES.keys() - {"rung", "indicator"}
 
 
 def sinks(folder):

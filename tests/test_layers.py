@@ -15,9 +15,9 @@ PACKAGE = ROOT / "pipeline"
 FILES = sorted(PACKAGE.rglob("*.py"))
 # A module imports only from its own room and rooms before it; `__init__` is what `import pipeline` gives.
 ROOMS = (
-    "version errors foreign case mesh fem stepping methods conditions build frame measures run sinks series statistics "
-    "opengl views analysis record_keeping disk failure variant_run comparison report campaign check reproduction "
-    "studies __init__ cli __main__"
+    "version errors memory foreign case mesh fem stepping methods conditions build frame measures run sinks series "
+    "statistics opengl views analysis record_keeping disk failure variant_run comparison report campaign check "
+    "reproduction studies __init__ cli __main__"
 ).split()
 HEAVY = frozenset(
     "pyvista vtk vtkmodules meshio xarray netCDF4 matplotlib numba rich imageio_ffmpeg PIL pandas h5py k3d dask "

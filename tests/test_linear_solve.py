@@ -86,7 +86,7 @@ def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypa
     monkeypatch.setattr(linear_solve, "library", lambda: None)
     monkeypatch.setattr(linear_solve, "_CONSTANT_BAND_WITHOUT_MKL", 1.0)
     assert chosen(large, constant=True) == "superlu"
-    monkeypatch.setattr(linear_solve, "_memory", lambda: 1e6)
+    monkeypatch.setattr(linear_solve, "installed_bytes", lambda: 1e6)
     assert chosen(large, constant=True) == chosen(large, constant=False) == "cg"
 
 

@@ -36,8 +36,9 @@ def forgotten(document: Mapping[str, Any], key: str, value: object) -> list[str]
     node: Any = document
     for part in key.split("."):
         node = node.get(part) if isinstance(node, Mapping) else None
-    both = isinstance(node, Mapping) and isinstance(value, Mapping)
-    return [name for name in node if name not in value] if both else []  # type: ignore[operator]
+    if not (isinstance(node, Mapping) and isinstance(value, Mapping)):
+        return []
+    return [name for name in node if name not in value]
 
 
 def _replaced(node: Any, parts: list[str], value: object, done: tuple[str, ...]) -> Any:

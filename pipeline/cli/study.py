@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pipeline.case import Case, load_case, parse_override
 from pipeline.cli.terminal import progress, say
@@ -22,7 +22,7 @@ class Study(NamedTuple):
     run: Callable[[argparse.Namespace], int]
 
 
-def add_verbs(verbs: argparse._SubParsersAction, common: argparse.ArgumentParser) -> None:  # type: ignore[type-arg]
+def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
     """Add the verb `study` with the names of STUDIES."""
     study = verbs.add_parser("study", help="questions that take many runs of a case")
     names = study.add_subparsers(required=True, metavar="NAME")

@@ -116,6 +116,31 @@ def _quaternion_rotation(w, x, y, z, R, lane):
 
 
 @njit(cache=True, error_model="numpy")
+def jacobi(A, Q):
+    """Turn the symmetric A (k, k) into its eigenvalues on the diagonal, and write its eigenvectors, columns, into Q."""
+    Q[:] = np.eye(len(A))
+    size = np.abs(A).max()
+    for _ in range(_SWEEPS):
+        off = 0.0
+        for p in range(len(A) - 1):
+            for q in range(p + 1, len(A)):
+                off = max(off, abs(A[p, q]))
+                if A[p, q] == 0.0:
+                    continue
+                tau = (A[q, q] - A[p, p]) / (2.0 * A[p, q])
+                t = (1.0 if tau >= 0.0 else -1.0) / (abs(tau) + np.sqrt(1.0 + tau * tau))
+                c = 1.0 / np.sqrt(1.0 + t * t)
+                s = t * c
+                for k in range(len(A)):
+                    A[p, k], A[q, k] = c * A[p, k] - s * A[q, k], s * A[p, k] + c * A[q, k]
+                for k in range(len(A)):
+                    A[k, p], A[k, q] = c * A[k, p] - s * A[k, q], s * A[k, p] + c * A[k, q]
+                    Q[k, p], Q[k, q] = c * Q[k, p] - s * Q[k, q], s * Q[k, p] + c * Q[k, q]
+        if off <= 1e-17 * size:
+            break
+
+
+@njit(cache=True, error_model="numpy")
 def _jacobi_rotation(F, R, lane):
     """Write the closest rotation to one lane of F into that of R, by Jacobi's sweeps on N.
 
@@ -127,33 +152,16 @@ def _jacobi_rotation(F, R, lane):
         _quaternion_rotation(1.0, 0.0, 0.0, 0.0, R, lane)
         return
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = F[0:3, lane] / largest, F[3:6, lane] / largest, F[6:9, lane] / largest
-    n00, n11, n22, n33 = xx + yy + zz, xx - yy - zz, yy - xx - zz, zz - xx - yy
-    n01, n02, n03 = zy - yz, xz - zx, yx - xy
-    n12, n13, n23 = xy + yx, xz + zx, yz + zy
-    A = np.array([[n00, n01, n02, n03], [n01, n11, n12, n13], [n02, n12, n22, n23], [n03, n13, n23, n33]])
-    Q = np.eye(4)
-    for _ in range(_SWEEPS):
-        off = 0.0
-        for p in range(3):
-            for q in range(p + 1, 4):
-                off = max(off, abs(A[p, q]))
-                if A[p, q] == 0.0:
-                    continue
-                tau = (A[q, q] - A[p, p]) / (2.0 * A[p, q])
-                t = (1.0 if tau >= 0.0 else -1.0) / (abs(tau) + np.sqrt(1.0 + tau * tau))
-                c = 1.0 / np.sqrt(1.0 + t * t)
-                s = t * c
-                for k in range(4):
-                    A[p, k], A[q, k] = c * A[p, k] - s * A[q, k], s * A[p, k] + c * A[q, k]
-                for k in range(4):
-                    A[k, p], A[k, q] = c * A[k, p] - s * A[k, q], s * A[k, p] + c * A[k, q]
-                    Q[k, p], Q[k, q] = c * Q[k, p] - s * Q[k, q], s * Q[k, p] + c * Q[k, q]
-        if off < 1e-16:
-            break
-    best = 0
-    for k in range(1, 4):
-        if A[k, k] > A[best, best]:
-            best = k
+    N, Q = np.empty((4, 4)), np.empty((4, 4))
+    N[0, 0], N[1, 1], N[2, 2], N[3, 3] = xx + yy + zz, xx - yy - zz, yy - xx - zz, zz - xx - yy
+    N[0, 1] = N[1, 0] = zy - yz
+    N[0, 2] = N[2, 0] = xz - zx
+    N[0, 3] = N[3, 0] = yx - xy
+    N[1, 2] = N[2, 1] = xy + yx
+    N[1, 3] = N[3, 1] = xz + zx
+    N[2, 3] = N[3, 2] = yz + zy
+    jacobi(N, Q)
+    best = np.argmax(np.diag(N))
     _quaternion_rotation(Q[0, best], Q[1, best], Q[2, best], Q[3, best], R, lane)
 
 
@@ -169,9 +177,10 @@ def _polar(F, count, R, root, good, C):
 
 
 @njit(cache=True, error_model="numpy")
-def _scratch():
-    """Return what _polar needs beside F and R: root, good, C."""
-    return np.zeros(LANES), np.zeros(LANES), np.zeros((3, LANES))
+def _lanes():
+    """Return room for F, R, P (9, LANES) and W (LANES,), and what _polar needs beside: root, good, C."""
+    F, R, P = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES))
+    return F, R, P, np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros((3, LANES))
 
 
 @njit(cache=True, error_model="numpy")
@@ -195,8 +204,7 @@ def _store(lanes, first, count, A):
 @njit(cache=True, error_model="numpy")
 def polar_rotations(A, R):
     """Write the closest rotation to each A (e, 3, 3) into R, which may be A itself."""
-    F, Q = np.zeros((9, LANES)), np.zeros((9, LANES))
-    root, good, C = _scratch()
+    F, Q, _, _, root, good, C = _lanes()
     for first in range(0, len(A), LANES):
         count = min(LANES, len(A) - first)
         _load(A, first, count, F)
@@ -243,8 +251,7 @@ def _stresses(F, R, mu, lam, P, W):
 @njit(cache=True, error_model="numpy")
 def energy(x, cells, G, V, mu, lam):
     """Return sum V W(F) with the polar rotations."""
-    F, R, P, W = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros(LANES)
-    root, good, C = _scratch()
+    F, R, P, W, root, good, C = _lanes()
     total = 0.0
     for first in range(0, len(cells), LANES):
         count = min(LANES, len(cells) - first)
@@ -278,8 +285,7 @@ def _scatter_force(cell, G, volume, P, lane, f):
 def force(x, cells, G, V, mu, lam, f):
     """Write f_a = -sum V P grad N_a into f (n, 3), with the polar rotations."""
     f[:] = 0.0
-    F, R, P, W = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros(LANES)
-    root, good, C = _scratch()
+    F, R, P, W, root, good, C = _lanes()
     for first in range(0, len(cells), LANES):
         count = min(LANES, len(cells) - first)
         _gradients(x, cells, G, first, count, F)
@@ -324,8 +330,7 @@ def linearise(x, cells, G, V, mu, lam, pairs, scale, given, Rs, f, A):
     The rotations are Rs (e, 3, 3) if given, else the polar ones of x.
     """
     f[:] = 0.0
-    F, R, P, W = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros(LANES)
-    root, good, C = _scratch()
+    F, R, P, W, root, good, C = _lanes()
     g = np.empty((4, 3))
     for first in range(0, len(cells), LANES):
         count = min(LANES, len(cells) - first)
@@ -344,8 +349,7 @@ def linearise(x, cells, G, V, mu, lam, pairs, scale, given, Rs, f, A):
 @njit(cache=True, error_model="numpy")
 def rotations(x, cells, G, R):
     """Write the polar rotation of every cell's F into R (e, 3, 3)."""
-    F, Q = np.zeros((9, LANES)), np.zeros((9, LANES))
-    root, good, C = _scratch()
+    F, Q, _, _, root, good, C = _lanes()
     for first in range(0, len(cells), LANES):
         count = min(LANES, len(cells) - first)
         _gradients(x, cells, G, first, count, F)

@@ -9,32 +9,7 @@ kernels.py, whose functions are compiled into these: `make clean` after one.
 import numpy as np
 from numba import njit
 
-from pipeline.fem.kernels import LANES, _gradients, _polar, _scratch
-
-_SWEEPS = 12  # 3 x 3 needs about 5
-
-
-@njit(cache=True, error_model="numpy")
-def _eigen(S, Q):
-    """Turn the symmetric S (3, 3) into its eigenvalues on the diagonal, and write its eigenvectors, columns, into Q."""
-    Q[:] = np.eye(3)
-    size = np.abs(S).max()
-    for _ in range(_SWEEPS):
-        if max(abs(S[0, 1]), abs(S[0, 2]), abs(S[1, 2])) <= 1e-17 * size:
-            break
-        for p in range(2):
-            for q in range(p + 1, 3):
-                if S[p, q] == 0.0:
-                    continue
-                tau = (S[q, q] - S[p, p]) / (2.0 * S[p, q])
-                t = (1.0 if tau >= 0.0 else -1.0) / (abs(tau) + np.sqrt(1.0 + tau * tau))
-                c = 1.0 / np.sqrt(1.0 + t * t)
-                s = t * c
-                for k in range(3):
-                    S[p, k], S[q, k] = c * S[p, k] - s * S[q, k], s * S[p, k] + c * S[q, k]
-                for k in range(3):
-                    S[k, p], S[k, q] = c * S[k, p] - s * S[k, q], s * S[k, p] + c * S[k, q]
-                    Q[k, p], Q[k, q] = c * Q[k, p] - s * Q[k, q], s * Q[k, p] + c * Q[k, q]
+from pipeline.fem.kernels import LANES, _gradients, _lanes, _polar, jacobi
 
 
 @njit(cache=True, error_model="numpy")
@@ -62,8 +37,7 @@ def _turned_gradients(G, R, lane, q0, q1, q2, w):
 @njit(cache=True, error_model="numpy")
 def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
     """Add scale times the term above to A (blocks, 3, 3); negative factors are left out if projected."""
-    F, R = np.zeros((9, LANES)), np.zeros((9, LANES))
-    root, good, C = _scratch()
+    F, R, _, _, root, good, C = _lanes()
     S, Q, w = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3))
     for first in range(0, len(cells), LANES):
         count = min(LANES, len(cells) - first)
@@ -74,7 +48,7 @@ def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
             _stretch(F, R, l, S)
             trace = S[0, 0] + S[1, 1] + S[2, 2]
             c = lam * (trace - 3.0) - 2.0 * mu
-            _eigen(S, Q)
+            jacobi(S, Q)
             for m in range(3):
                 factor = mu + c / max(trace - S[m, m], max(abs(c) / (crease * mu), 2.2250738585072014e-308))
                 if projected and factor <= 0.0:

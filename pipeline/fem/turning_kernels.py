@@ -6,7 +6,7 @@ Numba notices changes of this file, not of kernels.py, whose functions are compi
 import numpy as np
 from numba import njit
 
-from pipeline.fem.kernels import LANES, _gradients, _load, _polar, _scratch, _store, _stresses
+from pipeline.fem.kernels import LANES, _gradients, _lanes, _load, _polar, _store, _stresses
 
 
 @njit(cache=True, error_model="numpy")
@@ -15,9 +15,8 @@ def turning(x, cells, G, mu, lam, used, reached):
 
     U are the rotations `used` (e, 3, 3), or those of one for all cells (1, 3, 3).
     """
-    F, R, U = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES))
-    P, Q, W = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros(LANES)
-    root, good, C = _scratch()
+    F, R, P, W, root, good, C = _lanes()
+    U, Q = np.zeros((9, LANES)), np.zeros((9, LANES))
     if len(used) == 1:
         for l in range(LANES):
             _load(used, 0, 1, U[:, l : l + 1])

@@ -96,7 +96,7 @@ def _reader(file: Path) -> tuple[Any, list[str]]:
     def note(_reader: object, _event: str, text: str) -> None:
         errors.append(" ".join(text.split()))
 
-    note.CallDataType = "string0"  # type: ignore[attr-defined]
+    note.CallDataType = "string0"  # type: ignore[attr-defined]  # how VTK is told to hand over the text
     reader.AddObserver("ErrorEvent", note)
     reader.SetFileName(str(file))
     if file.suffix == ".vtk":
@@ -152,7 +152,7 @@ def _from_vtk(data: Any, file: Path) -> Grid:
         raise SeriesError(f"{file}: {why}")
     if connectivity.min() < 0 or connectivity.max() >= len(points):
         raise SeriesError(f"{file}: a cell names point {connectivity.max()} of {len(points)} (counted from 0)")
-    fields = [{name: np.asarray(data[name]) for name in data.keys()} for data in  # noqa: SIM118  (no mapping)
+    fields = [{name: np.asarray(data[name]) for name in data.keys()} for data in  # noqa: SIM118  (pyvista's fields iterate over values)
               (grid.point_data, grid.cell_data, grid.field_data)]  # fmt: skip
     return Grid(points, types, offsets, connectivity, *fields)
 

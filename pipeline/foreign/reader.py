@@ -12,9 +12,10 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
+from io import BufferedIOBase
 from pathlib import Path
 from threading import RLock, Timer
-from typing import IO, Any
+from typing import Any, cast
 
 from pipeline import errors
 from pipeline.errors import PipelineError
@@ -39,9 +40,10 @@ serve()
 class Reader:
     """One child process that reads files for this one: started when it is needed, and again after it died."""
 
+    _process: subprocess.Popen[bytes] | None
+
     def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        self._lock = RLock()
+        self.forget()
 
     def read(self, function: str, file: Path, *arguments: object, error: type[PipelineError]) -> Any:
         """Return function(file, *arguments), called in the child; `function` is "module:name".
@@ -75,7 +77,7 @@ class Reader:
             data = pickle.dumps(request)
             child.stdin.write(COUNT.pack(len(data)) + data)
             child.stdin.flush()
-            return _received(child.stdout)
+            return _received(cast(BufferedIOBase, child.stdout))
         except (EOFError, BrokenPipeError) as gone:
             why = _last_words(child.wait(), request[2], seconds)
             raise error(f"{file}: {why}") from gone
@@ -116,8 +118,9 @@ class Reader:
         child.wait()
 
     def forget(self) -> None:
-        """Leave the child to the process that started it: after a fork there are two that could ask."""
-        self.__init__()  # type: ignore[misc]
+        """Begin without a child; one that there is stays with who started it: after a fork two could ask it."""
+        self._process = None
+        self._lock = RLock()
 
 
 READER = Reader()
@@ -146,7 +149,7 @@ def _last_words(code: int, memory: int, seconds: float) -> str:
     )
 
 
-def _received(stream: IO[bytes]) -> tuple[str, Any]:
+def _received(stream: BufferedIOBase) -> tuple[str, Any]:
     """Return one object that server.send wrote; raises EOFError where it ends too early."""
     (count,) = COUNT.unpack(_exactly(stream, COUNT.size))
     sizes = [COUNT.unpack(_exactly(stream, COUNT.size))[0] for _ in range(count)]
@@ -155,11 +158,11 @@ def _received(stream: IO[bytes]) -> tuple[str, Any]:
     return answer
 
 
-def _exactly(stream: IO[bytes], size: int) -> bytearray:
+def _exactly(stream: BufferedIOBase, size: int) -> bytearray:
     out = bytearray(size)
     view, filled = memoryview(out), 0
     while filled < size:
-        got = stream.readinto(view[filled:])  # type: ignore[attr-defined]
+        got = stream.readinto(view[filled:])
         if not got:
             raise EOFError
         filled += got

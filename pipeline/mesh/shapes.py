@@ -7,6 +7,7 @@ from math import factorial, prod
 import numpy as np
 
 from pipeline.errors import MeshError
+from pipeline.memory import free_bytes
 from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
 
 # split of a cell into simplices along the diagonal from its low to its high corner; `alternating` mirrors every other
@@ -43,22 +44,12 @@ def _grid(size: Sequence[float], cells: Sequence[int], split: str, *, dimension:
 def _check_memory(cells: Sequence[int], dimension: int) -> None:
     """Raise MeshError for a mesh that is larger than the memory that is free: the system would end the process."""
     simplices = prod(cells) * factorial(dimension)
-    needed, free = simplices * _BYTES, _free_memory()
+    needed, free = simplices * _BYTES, free_bytes()
     if needed > free:
         raise MeshError(
             f"{simplices} cells take {needed / 1e9:.3g} GB to build and more to solve; {free / 1e9:.3g} GB of memory "
             "are free; take fewer cells"
         )
-
-
-def _free_memory() -> float:
-    """Return the bytes of memory that are free; infinite where the system does not say."""
-    try:
-        with open("/proc/meminfo") as opened:
-            found = [line.split()[1] for line in opened if line.startswith("MemAvailable:")]
-        return int(found[0]) * 1024
-    except (OSError, IndexError, ValueError):
-        return float("inf")
 
 
 def _kuhn(dimension: int) -> list[Ints]:

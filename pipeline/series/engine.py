@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import SeriesError
-from pipeline.measures import AXES, VARIABLES, attributes, spatial
+from pipeline.measures import AXES, STEPS, VARIABLES, attributes, spatial
 from pipeline.mesh.simplex import Floats
 from pipeline.series.frame_files import Grid
 from pipeline.series.recorded import Series, read_series
@@ -107,7 +107,7 @@ class Store:
             return value if layout.nodes is None else value[layout.nodes]
         if kind == "cell":
             return value if layout.chosen is None else value[layout.chosen]
-        return value.reshape(-1)[0] if value.size == 1 else value.reshape(-1)
+        return value.reshape(-1)[0] if value.size == 1 and name not in STEPS else value.reshape(-1)
 
     def __getstate__(self) -> Series:  # a lock does not travel to another process
         return self.series
@@ -118,7 +118,7 @@ class Store:
 
 def _described(name: str, dimension: int) -> dict[str, str]:
     """Return the CF attributes of a field; of a foreign one the unit is not known."""
-    if name in VARIABLES:
+    if name in VARIABLES or name in STEPS:
         return attributes(name, dimension)
     if name in _KNOWN:
         unit, text = _KNOWN[name]
@@ -178,7 +178,7 @@ def _variable(store: Store, kind: str, name: str, dimension: int) -> "xarray.Var
 
     frames = _frames(store, kind, name)
     whole = {"point": ("node",), "cell": ("cell",), "field": ()}[kind]
-    axis = "axis" if frames.shape[-1] == 3 else f"{name}_component"
+    axis = "step_of_frame" if name in STEPS else "axis" if frames.shape[-1] == 3 else f"{name}_component"
     dims = ("time", *whole, *([axis] if len(frames.shape) > 1 + len(whole) else []))
     chunks = dict(zip(dims, (1, *frames.shape[1:]), strict=True))
     lazy = indexing.LazilyIndexedArray(frames)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.frame import Frame
-from pipeline.measures import AXES, QUANTILES, VARIABLES
+from pipeline.measures import AXES, QUANTILES, STEPS, VARIABLES
 from pipeline.mesh.simplex import Mesh
 from pipeline.series.frame_files import Grid, read_grid
 from pipeline.series.layout import Layout, Options, understood
@@ -55,12 +55,13 @@ class Series:
         grid = self.grid(index) if grid is None else grid
         where = f"{self.files[index]}, t = {self.times[index]:g} s"
         x = self.layout.positions(grid, where)
-        known = {}
+        stepwise = [name for name in STEPS if name in grid.field_data] if self.ours else []
+        known = {name: np.asarray(grid.field_data[name], dtype=np.float64).ravel() for name in stepwise}
         for name in grid.field_data.keys() & VARIABLES.keys():
             dims = VARIABLES[name].dims
             value = np.asarray(grid.field_data[name], dtype=np.float64)
             # a field of that name may be something else elsewhere
-            if dims == ("step",) or value.size == _LENGTHS.get(dims):
+            if value.size == _LENGTHS.get(dims):
                 known[name] = value.reshape([-1] if dims else [])
         step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
         return Frame(index, self.times[index], self.mesh, x, step=step, v=self._velocity(grid), known=known)

@@ -35,7 +35,7 @@ def frame_fields(frame: Frame, measured: Values, precision: Precision = "float64
     nodal = {"displacement": frame.x - mesh.points}
     if frame.v is not None:
         nodal["velocity"] = frame.v
-    cellular = {name: value for name, value in measured.items() if VARIABLES[name].dims == ("cell",)}
+    cellular = {name: measured[name] for name, one in VARIABLES.items() if one.dims == ("cell",)}
     cellular = {"volume": cellular["volume_ratio"] * mesh.rest_volumes, **cellular}
     numbers = {"TimeValue": np.array([[frame.time]])}
     if frame.step is not None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.errors import OutputError
 from pipeline.frame import Frame, Values
-from pipeline.measures import AXES, QUANTILES, VARIABLES, attributes
+from pipeline.measures import AXES, QUANTILES, STEPS, VARIABLES, attributes
 from pipeline.mesh.simplex import Mesh
 
 _CHUNK = 256  # frames; the default of one would make a chunk, and its index entry, of every number
@@ -32,7 +32,7 @@ class NetcdfSink:
                 _keep_little(self._dataset)
             self._dataset["time"][self._count] = frame.time
             for name, value in measured.items():
-                if VARIABLES[name].dims != ("step",):
+                if name in VARIABLES:
                     self._dataset[name][self._count] = value
             self._write_steps(frame.step or 0, measured)
             self._dataset.sync()
@@ -42,10 +42,10 @@ class NetcdfSink:
 
     def _write_steps(self, last: int, measured: Values) -> None:
         """Append what is known of the steps since the frame before; none has led to the first frame."""
-        for name, value in measured.items() if last else ():
-            if VARIABLES[name].dims == ("step",):
-                self._dataset[name][last - len(value) : last] = value
-                self._dataset["step"][last - len(value) : last] = np.arange(last - len(value), last) + 1
+        for name in measured.keys() & STEPS.keys() if last else ():
+            first = last - len(measured[name])
+            self._dataset[name][first:last] = measured[name]
+            self._dataset["step"][first:last] = np.arange(first, last) + 1
 
     def _opened(self, mesh: Mesh, measured: Values) -> Any:
         if self._count:
@@ -80,7 +80,8 @@ def _created(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
     out.Conventions = "CF-1.11"
     out.title = title
     sizes = {"time": None, "cell": len(mesh.cells), "axis": 3, "quantile": len(QUANTILES)}
-    if any(VARIABLES[name].dims == ("step",) for name in measured):
+    stepwise = [name for name in STEPS if name in measured]
+    if stepwise:
         sizes["step"] = None
     for name, size in sizes.items():
         out.createDimension(name, size)
@@ -93,17 +94,15 @@ def _created(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
     made["quantile"][:] = QUANTILES
     made["axis"][:] = np.array(AXES, dtype=object)
     made["rest_volume"][:] = mesh.rest_volumes
-    for name in measured:
-        variable = VARIABLES[name]
-        if variable.dims == ("step",):
-            made[name] = out.createVariable(name, "f8", ("step",), chunksizes=(_CHUNK,))
+    for name, variable in VARIABLES.items():
+        if name not in measured:
             continue
         lengths = [sizes[dim] or 1 for dim in variable.dims]
         frames = _CELLS_CHUNK // len(mesh.cells) if "cell" in variable.dims else _CHUNK
         chunks = (min(max(frames, 1), _CHUNK), *lengths)
         made[name] = out.createVariable(name, "f8", ("time", *variable.dims), chunksizes=chunks)
-    if "step" in sizes:
-        made["step"] = out.createVariable("step", "i8", ("step",), chunksizes=(_CHUNK,))
+    for name in ["step", *stepwise] if stepwise else ():
+        made[name] = out.createVariable(name, "i8" if name == "step" else "f8", ("step",), chunksizes=(_CHUNK,))
     for name, one in made.items():
         one.setncatts(attributes(name, mesh.dimension))
     made["time"].axis = "T"

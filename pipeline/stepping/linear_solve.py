@@ -7,8 +7,6 @@ warped     conjugate gradients with the rest state's factor, turned along; one f
 cg         conjugate gradients with block Jacobi; no factor: for small steps, where few iterations suffice
 """
 
-import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -17,6 +15,7 @@ from scipy.sparse.linalg import splu
 
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
+from pipeline.memory import installed_bytes
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping.banded import band_of
 from pipeline.stepping.pardiso import library
@@ -93,7 +92,7 @@ def choice(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[
         return "banded", f"the matrix {kind}; its band takes {band:.3g} MB, at most {most:g}"
     why = f"the matrix {kind}; its band would take {band:.3g} MB, more than {most:g}"
     size = factor_bytes(pattern, "pardiso" if constant else "warped")
-    if size > _MOST_OF_MEMORY * _memory():
+    if size > _MOST_OF_MEMORY * installed_bytes():
         return "cg", f"{why}; a sparse factor would take {size / 1e9:.3g} GB, too much for this machine"
     if constant:
         return ("pardiso", f"{why}; MKL is installed") if mkl else ("superlu", f"{why}; MKL is not installed")
@@ -113,11 +112,3 @@ def factor_bytes(pattern: BlockPattern, name: str) -> float:
     if name == "warped":
         return 0.5e6 * band if factor_kind(band) == "banded" else _FACTOR_BYTES * dofs ** (4 / 3)
     return 2 * _FACTOR_BYTES * dofs ** (4 / 3)
-
-
-def _memory() -> float:
-    """Return the machine's memory [bytes]; infinite where the system does not tell."""
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, OSError, ValueError):
-        return math.inf

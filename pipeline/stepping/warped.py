@@ -10,6 +10,7 @@ For stiff steps of middle and large meshes; small ones are faster with a banded 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 from scipy.linalg.lapack import spbtrs
@@ -43,11 +44,7 @@ def factor_kind(band_megabytes: float) -> str:
         return "banded"
     if pardiso.library() is not None:
         return "mkl"
-    try:
-        import cholespy  # noqa: F401
-    except ImportError:
-        return "superlu"
-    return "cholmod"
+    return "superlu" if find_spec("cholespy") is None else "cholmod"
 
 
 def rest_factor(pattern: BlockPattern, values: Floats) -> RestFactor:

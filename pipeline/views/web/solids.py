@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import distribution
 from importlib.resources import files
+from importlib.util import find_spec
 from itertools import count
 from typing import Any
 
@@ -51,9 +52,7 @@ def solids(
     Long series and large meshes show some of their frames: every k-th, the last, and the one of `moments` (a frame
     a series). `on_frame(label, done, frames)` is called after each. Raises SeriesError where one cannot be read.
     """
-    try:
-        import k3d  # noqa: F401
-    except ImportError:
+    if find_spec("k3d") is None:
         return None
     tracks, notes = [], []
     most = _frames_each(series)
