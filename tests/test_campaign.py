@@ -73,7 +73,7 @@ def out(tmp_path, _finished) -> Path:
 
 
 def test_every_variant_has_its_files(done):
-    names = {"comparison.nc", "volume.png", "energy.png", "case.toml", *VARIANTS}
+    names = {"comparison.nc", "volume.png", "energy.png", "case.toml", "open_in_paraview.py", *VARIANTS}
     assert {path.name for path in done.folder.iterdir()} == names
     assert statuses(done) == dict.fromkeys(VARIANTS, "finished") and done.exit_code == 0
     for name in VARIANTS:

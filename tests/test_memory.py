@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline import build, frames, load_case, record
+from pipeline import build, frames, load_case
+from pipeline.run import Recording, drive
 from pipeline.sinks.formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.overlapped import Overlapped
@@ -37,6 +38,6 @@ def test_memory_is_flat_over_thousands_of_frames(tmp_path, monkeypatch, name):
         if frame.index in (settled, count):
             seen[frame.index] = resident()
 
-    record(frames(problem), [Overlapped(sinks)], on_frame=look)
+    drive(frames(problem), Overlapped(Recording(sinks, on_frame=look)))
     assert (seen[count] - seen[settled]) / (count - settled) < A_FRAME, seen
     assert sum(1 for _ in tmp_path.rglob(FORMATS[name].index)) == 1

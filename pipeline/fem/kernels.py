@@ -14,7 +14,7 @@ _NEWTON = 30
 _SWEEPS = 20  # 4 x 4 needs about 5
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _largest_root(c2, c1, c0, start):
     """Return the largest root of x^4 + c2 x^2 + c1 x + c0, from above."""
     x = start
@@ -31,7 +31,7 @@ def _largest_root(c2, c1, c0, start):
     return x
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def polar_rotation(F, R):
     """Write the closest rotation to F (3, 3) into R: Horn's quaternion, the eigenvector of the largest eigenvalue.
 
@@ -61,7 +61,7 @@ def polar_rotation(F, R):
         _jacobi_rotation(n00, n11, n22, n33, n01, n02, n03, n12, n13, n23, R)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _null_rotation(m00, m11, m22, m33, m01, m02, m03, m12, m13, m23, root, R):
     """Write the rotation of the null vector of the symmetric 4 x 4 matrix m into R; False where it is ill defined.
 
@@ -91,7 +91,7 @@ def _null_rotation(m00, m11, m22, m33, m01, m02, m03, m12, m13, m23, root, R):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _quaternion_rotation(w, x, y, z, R):
     """Write the rotation of the quaternion (w, x, y, z), of any length, into R."""
     r = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
@@ -101,7 +101,7 @@ def _quaternion_rotation(w, x, y, z, R):
     R[2, 0], R[2, 1], R[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _jacobi_rotation(n00, n11, n22, n33, n01, n02, n03, n12, n13, n23, R):
     """Write the rotation of an eigenvector of the largest eigenvalue of N into R, by Jacobi's sweeps.
 
@@ -134,7 +134,7 @@ def _jacobi_rotation(n00, n11, n22, n33, n01, n02, n03, n12, n13, n23, R):
     _quaternion_rotation(Q[0, best], Q[1, best], Q[2, best], Q[3, best], R)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def polar_rotations(F):
     """Return the closest rotation to each F (e, 3, 3)."""
     R = np.empty_like(F)
@@ -143,7 +143,7 @@ def polar_rotations(F):
     return R
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _gradient(x, cell, G, F):
     """Write F = sum_a x_a (x) grad N_a of one cell into F (3, 3)."""
     for i in range(3):
@@ -153,7 +153,7 @@ def _gradient(x, cell, G, F):
             )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _rotated_stress(F, R, mu, lam, T):
     """Write T = 2 mu e + lam tr(e) I into T (3, 3), e = sym(R^T F) - I; return tr(e T) / 2, the energy density."""
     for i in range(3):
@@ -170,7 +170,7 @@ def _rotated_stress(F, R, mu, lam, T):
     return mu * squares + pressure * (e00 + e11 + e22) / 2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def energy(x, cells, G, V, mu, lam):
     """Return sum V W(F) with the polar rotations."""
     F, R, T = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
@@ -182,7 +182,7 @@ def energy(x, cells, G, V, mu, lam):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def force(x, cells, G, V, mu, lam, f):
     """Write f_a = -sum V P grad N_a into f (n, 3), P = R T with the polar rotations."""
     f[:] = 0.0
@@ -194,7 +194,7 @@ def force(x, cells, G, V, mu, lam, f):
         _scatter_force(cells[e], G[e], V[e], R, T, f)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _scatter_force(cell, G, volume, R, T, f):
     """Add -V R T grad N_a to the forces of the cell's corners; they sum to zero."""
     last0 = last1 = last2 = 0.0
@@ -214,7 +214,7 @@ def _scatter_force(cell, G, volume, R, T, f):
     f[cell[0], 2] += last2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _scatter_stiffness(G, volume, R, mu, lam, pairs, K):
     """Add V (mu (G_a . G_b) I + mu g_b g_a^T + lam g_a g_b^T), g = R G, to the blocks named by pairs (4, 4)."""
     g = np.empty((4, 3))
@@ -236,7 +236,7 @@ def _scatter_stiffness(G, volume, R, mu, lam, pairs, K):
                         mirror[k, i] += value
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def linearise(x, cells, G, V, mu, lam, pairs, given, R, f, K):
     """Write forces f (n, 3) and blocks K (blocks, 3, 3), frozen tangent; R (e, 3, 3) is read if given, else written."""
     f[:] = 0.0
@@ -251,7 +251,7 @@ def linearise(x, cells, G, V, mu, lam, pairs, given, R, f, K):
         _scatter_stiffness(G[e], V[e], R[e], mu, lam, pairs[e], K)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def nodal_rotations(x, cells, G, V, sums, R):
     """Write into R (n, 3, 3) the polar rotation of each node's sum of V F, held in sums (n, 3, 3)."""
     sums[:] = 0.0
