@@ -40,9 +40,15 @@ class NetcdfSink:
         if self._count:
             import netCDF4
 
-            return netCDF4.Dataset(self.path, "a")
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        return _created(self.path, mesh, measured, self.title)
+            out: Any = netCDF4.Dataset(self.path, "a")
+        else:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            out = _created(self.path, mesh, measured, self.title)
+        for one in out.variables.values():
+            if one.dimensions == ("time", "cell"):
+                # the library's own cache would fill with many megabytes of frames that nobody asks for again
+                one.set_var_chunk_cache(size=8 * int(np.prod(one.chunking())), nelems=1)
+        return out
 
     def close(self) -> None:
         """Close the file."""
