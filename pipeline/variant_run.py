@@ -6,7 +6,7 @@ import platform
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ from pipeline.case import Case
 from pipeline.errors import OutputError, SolveError
 from pipeline.failure import FILE as FAILURE
 from pipeline.failure import examined
-from pipeline.frame import Frame, Values
+from pipeline.frame import Frame, Sink, Values
 from pipeline.methods import linear_solvers
 from pipeline.record_keeping import (
     CHECKPOINTS,
@@ -28,12 +28,12 @@ from pipeline.record_keeping import (
     mesh_digest,
     next_frame,
 )
-from pipeline.run import RunSummary, frames, record
+from pipeline.run import Recording, RunSummary, Watcher, drive, frames
 from pipeline.sinks.atomic import write_whole
 from pipeline.sinks.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.sinks.formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
-from pipeline.sinks.overlapped import Overlapped
+from pipeline.sinks.overlapped import WORTH_A_THREAD, Overlapped, short_turns
 from pipeline.stepping.state import State, Work
 from pipeline.version import VERSION
 
@@ -102,14 +102,7 @@ class VariantRun:
         self.case, self.problem, self.folder, self.asked, self.notify = case, problem, folder, asked, notify
         self.name = case.variant_name or ""
         self.checkpoints = CheckpointFolder(folder / CHECKPOINTS, seconds=case.output.checkpoint_seconds)
-        self._recorded: RunSummary | None = None
-        self._writer = Overlapped([])
-
-    @property
-    def summary(self) -> RunSummary | None:
-        """Return what the run was so far, the writing beside the solving included; None before the first frame."""
-        seen, hidden = self._recorded, self._writer.hidden_seconds
-        return seen and replace(seen, writing_seconds=seen.writing_seconds + hidden)
+        self.summary: RunSummary | None = None
 
     def result(self, *, resume: bool) -> VariantResult:
         """Return how it ended; a SolveError is a result, kept in run.json, as is an end that comes too early."""
@@ -139,7 +132,7 @@ class VariantRun:
         if began is None:
             _clear(self.folder)
         else:
-            self._recorded = began.summary
+            self.summary = began.summary
             run["resumed_after_steps"] = [*old.get("resumed_after_steps", ()), began.state.step]
         write_whole(self.folder / "case.toml", self.case.to_toml(self.folder))
         write_whole(self.folder / "run.json", _json(run))
@@ -148,22 +141,29 @@ class VariantRun:
     def _record(self, began: Checkpoint | None) -> None:
         written = next_frame(began, self.problem) if began else 0
         output, times = self.case.output, frame_times(written, self.problem)
-        self._writer = Overlapped(
-            [
-                FORMATS[output.format].sink(self.folder, times, output.precision, self.problem.frames + 1),
-                NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
-            ]
-        )
+        sinks: list[Sink] = [
+            FORMATS[output.format].sink(self.folder, times, output.precision, self.problem.frames + 1),
+            NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
+        ]
+        recording = Recording(sinks, on_frame=self._on_frame, before=self.summary)
+        beside = len(self.problem.body.mesh.cells) >= WORTH_A_THREAD
+        writer: Watcher = Overlapped(recording) if beside else recording
+
+        def after_step(state: State, work: Work) -> None:
+            self._after_step(state, work, writer)
+
         start, begun = (began.state, began.work) if began else (None, None)
         self._last = start or self.problem.start
         self.asked.solving = True
         try:
             # small dense factors gain nothing from BLAS threads, and stall where cores are shared
-            with threadpool_limits(limits=1, user_api="blas"):
-                source = frames(self.problem, start, begun=begun, after_step=self._after_step)
-                self._recorded = record(source, [self._writer], on_frame=self._on_frame, before=self._recorded)
+            with threadpool_limits(limits=1, user_api="blas"), short_turns():
+                source = frames(self.problem, start, begun=begun, after_step=after_step)
+                drive(source, writer)
         finally:
             self.asked.solving = False
+            if recording.summary.frames:
+                self.summary = recording.summary
 
     def _failed(self, error: SolveError) -> dict[str, Any]:
         """Return what run.json says of a failure, after the state before it was written to a file of its own."""
@@ -176,18 +176,19 @@ class VariantRun:
         return {"message": message, "failure": found.record()}
 
     def _on_frame(self, frame: Frame, measured: Values, summary: RunSummary) -> None:
-        self._recorded = summary
+        self.summary = summary
         if self.notify is not None:
-            self.notify(self.name, self.problem, frame, measured, self.summary or summary)
+            self.notify(self.name, self.problem, frame, measured, summary)
 
-    def _after_step(self, state: State, work: Work) -> None:
+    def _after_step(self, state: State, work: Work, writer: Watcher) -> None:
         """Write a checkpoint where one is due; raises Interrupted where an end was asked for."""
         self._last = state
         frames = self.case.output.checkpoint_frames
         due = self.checkpoints.due() or (frames and state.step % (frames * self.problem.steps_per_frame) == 0)
-        if self._recorded is not None and (self.asked.requested or due):
-            self._writer.drain()  # a checkpoint says that the frames before it are on the disk
-            self.checkpoints.write(Checkpoint(state, work, self.summary or self._recorded))
+        if self.asked.requested or due:
+            writer.drain()  # a checkpoint says that the frames before it are on the disk
+            if self.summary is not None:
+                self.checkpoints.write(Checkpoint(state, work, self.summary))
         if self.asked.requested:
             raise Interrupted(
                 f"interrupted after step {state.step} of {self.name}; the same command with --resume goes on from there"

@@ -297,9 +297,9 @@ def test_the_command_in_a_process_of_its_own(case, tmp_path):
     assert done.returncode == 0 and done.stderr == ""
     assert {Path(path).name for path in json.loads(done.stdout)["made"]} == {
         "comparison.nc",
+        "open_in_paraview.py",
         "volume.png",
         "energy.png",
-        "open_in_paraview.py",
     }
     for name in ("volume.png", "energy.png"):
         assert (tmp_path / "o" / "beam" / name).read_bytes().startswith(b"\x89PNG")

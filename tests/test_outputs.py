@@ -9,16 +9,24 @@ import numpy as np
 import pytest
 import xarray
 
+from pipeline import variant_run
 from pipeline.series import read_series
 from pipeline.sinks.formats import FORMATS
 from tests.test_faults import ROOT, command
 from tests.test_resume import _default_handlers, _no_figures, assert_same_datasets, solve, stopped_after, written  # noqa: F401
 
 OUTPUTS = {
+    "vtu": {},
     "vtu_float32": {"precision": "float32"},
     "vtkhdf": {"format": "vtkhdf"},
     "vtkhdf_float32": {"format": "vtkhdf", "precision": "float32"},
 }
+
+
+@pytest.fixture(autouse=True)
+def _beside(monkeypatch):
+    """Small meshes too are written on a thread of its own."""
+    monkeypatch.setattr(variant_run, "WORTH_A_THREAD", 0)
 
 
 def case(folder, output, *, seconds=10.0, **sections):
@@ -111,7 +119,8 @@ def listing_less(path):
 @pytest.mark.slow
 @pytest.mark.parametrize("output", OUTPUTS)
 def test_kill_9_at_random_moments_and_the_rest_goes_on(tmp_path, output):
-    path = case(tmp_path, output, seconds=1e-9, schedule={"dt": 0.02, "frames": 80})
+    mesh = {"shape": "box", "size": [2.0, 3.0, 1.0], "cells": [6, 7, 4]}  # enough cells for a thread, in the child too
+    path = case(tmp_path, output, seconds=1e-9, schedule={"dt": 0.02, "frames": 80}, mesh=mesh)
     out, moments = tmp_path / "parts", random.Random(1)
     folder = out / "beam" / "only"
     for kill in range(2):

@@ -1,13 +1,15 @@
 """Writing beside solving: order, bounds, failures and what a checkpoint may rely on."""
 
+import sys
 import threading
 
 import pytest
 
+from pipeline import variant_run
 from pipeline.errors import OutputError, SolveError
 from pipeline.frame import Frame
 from pipeline.mesh.shapes import box
-from pipeline.run import record
+from pipeline.run import Recording, drive
 from pipeline.sinks.checkpoint import CheckpointFolder
 from pipeline.sinks.overlapped import Overlapped
 from tests.test_resume import _default_handlers, _no_figures, solve, written  # noqa: F401  (fixtures)
@@ -36,6 +38,12 @@ def some_frames(count: int, before=lambda index: None):
         yield Frame(index, 0.1 * index, MESH, MESH.points * (1 + 0.01 * index))
 
 
+def overlapped(source, sinks, **options):
+    recording = Recording(sinks)
+    drive(source, Overlapped(recording, **options))
+    return recording
+
+
 def failing(frame):
     if frame.index == 2:
         raise OutputError(f"frame {frame.index}: no room")
@@ -44,15 +52,14 @@ def failing(frame):
 def test_a_frame_is_written_while_the_next_one_is_solved():
     solved = threading.Event()
     sink = Listing(lambda frame: frame.index or solved.wait(PATIENCE) or pytest.fail("nothing was solved meanwhile"))
-    record(some_frames(3, lambda index: index == 2 and solved.set()), [Overlapped([sink])])
+    overlapped(some_frames(3, lambda index: index == 2 and solved.set()), [sink])
     assert sink.indices == [0, 1, 2] and sink.closed == 1
 
 
 def test_the_queue_is_bounded_and_keeps_the_order():
     go, solved = threading.Event(), []
     sink = Listing(lambda frame: go.wait(PATIENCE))
-    overlapped = Overlapped([sink], waiting=2)
-    run = threading.Thread(target=lambda: record(some_frames(20, solved.append), [overlapped]))
+    run = threading.Thread(target=lambda: overlapped(some_frames(20, solved.append), [sink], waiting=2))
     run.start()
     run.join(0.3)
     # one being written, two waiting, one that has no room
@@ -64,16 +71,16 @@ def test_the_queue_is_bounded_and_keeps_the_order():
 
 def test_drain_returns_when_all_is_written_and_raises_what_failed():
     sink, other = Listing(failing), Listing()
-    overlapped = Overlapped([sink, other])
+    writer = Overlapped(Recording([sink, other]))
     for frame in some_frames(2):
-        overlapped.write(frame, {})
-    overlapped.drain()
+        writer.take(frame)
+    writer.drain()
     assert sink.indices == other.indices == [0, 1]
-    overlapped.write(next(iter(some_frames(1))), {})
-    overlapped.write(list(some_frames(3))[2], {})
+    writer.take(next(iter(some_frames(1))))
+    writer.take(list(some_frames(3))[2])
     with pytest.raises(OutputError, match="frame 2: no room"):
-        overlapped.drain()
-    overlapped.close()  # told once
+        writer.drain()
+    writer.close()  # told once
     assert other.indices == [0, 1, 0] and (sink.closed, other.closed) == (1, 1)
 
 
@@ -81,14 +88,14 @@ def test_a_writer_that_fails_stops_the_run_with_its_own_message():
     solved = []
     sink, other = Listing(failing), Listing()
     with pytest.raises(OutputError, match="frame 2: no room"):
-        record(some_frames(1000, solved.append), [Overlapped([other, sink], waiting=1)])
+        overlapped(some_frames(1000, solved.append), [other, sink], waiting=1)
     assert len(solved) <= 6 and sink.indices == [0, 1] and other.indices == [0, 1, 2]
     assert (sink.closed, other.closed) == (1, 1)
 
 
 def test_a_failure_at_the_last_frame_is_raised_on_closing():
     with pytest.raises(OutputError, match="frame 2: no room"):
-        record(some_frames(3), [Overlapped([Listing(failing)])])
+        overlapped(some_frames(3), [Listing(failing)])
 
 
 def test_what_cannot_be_closed_is_told_and_the_others_are_closed():
@@ -98,7 +105,7 @@ def test_what_cannot_be_closed_is_told_and_the_others_are_closed():
 
     other = Listing()
     with pytest.raises(OutputError, match="cannot be closed"):
-        record(some_frames(3), [Overlapped([Stuck(), other])])
+        overlapped(some_frames(3), [Stuck(), other])
     assert other.closed == 1 and other.indices == [0, 1, 2]
 
 
@@ -109,14 +116,14 @@ def test_a_solver_that_fails_leaves_the_frames_before_it():
 
     sink = Listing()
     with pytest.raises(SolveError, match="diverged"):
-        record(some_frames(9, broken), [Overlapped([sink])])
+        overlapped(some_frames(9, broken), [sink])
     assert sink.indices == [0, 1, 2] and sink.closed == 1
     assert [thread.name for thread in threading.enumerate() if thread.name == "writer"] == []
 
 
 def test_nothing_written_closes_what_it_has():
     sink = Listing()
-    Overlapped([sink]).close()
+    Overlapped(Recording([sink])).close()
     assert sink.closed == 1
 
 
@@ -128,8 +135,25 @@ def test_a_checkpoint_waits_for_the_frames_before_it(tmp_path, monkeypatch):
         genuine(self, checkpoint)
 
     monkeypatch.setattr(CheckpointFolder, "write", looking)
+    monkeypatch.setattr(variant_run, "WORTH_A_THREAD", 0)
     solve(written(tmp_path, seconds=1e-9), tmp_path / "out")
     assert len(seen) == 10 and all(frames == files for frames, files in seen)
+
+
+def test_small_meshes_are_written_in_between(tmp_path, monkeypatch):
+    genuine, threads = Recording.take, set()
+
+    def looking(self, frame):
+        threads.add(threading.current_thread().name)
+        genuine(self, frame)
+
+    monkeypatch.setattr(Recording, "take", looking)
+    turns = sys.getswitchinterval()
+    for cells, name in ((1000, "MainThread"), (1, "writer")):
+        monkeypatch.setattr(variant_run, "WORTH_A_THREAD", cells)
+        solve(written(tmp_path), tmp_path / name)
+        assert threads == {name} and sys.getswitchinterval() == turns
+        threads.clear()
 
 
 def test_run_json_tells_writing_and_wall_apart(tmp_path):
@@ -140,7 +164,5 @@ def test_run_json_tells_writing_and_wall_apart(tmp_path):
 
 
 def test_the_seconds_of_writing_are_those_of_the_writer():
-    overlapped = Overlapped([Listing(lambda frame: threading.Event().wait(0.02))], waiting=100)
-    summary = record(some_frames(5), [overlapped])
-    assert summary.writing_seconds + overlapped.hidden_seconds >= 5 * 0.02
-    assert summary.wall_seconds >= 5 * 0.02
+    recording = overlapped(some_frames(5), [Listing(lambda frame: threading.Event().wait(0.02))], waiting=100)
+    assert 5 * 0.02 <= recording.summary.writing_seconds <= recording.summary.wall_seconds + 1e-6

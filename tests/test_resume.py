@@ -92,10 +92,10 @@ def stopped_after(path: Path, out: Path, step: int, monkeypatch, **keywords) -> 
     """The variant's folder of a run that got SIGINT while a step was under way."""
     genuine = variant_run.VariantRun._after_step
 
-    def asking(self, state, work):
+    def asking(self, state, work, writer):
         if state.step == step:
             signal.raise_signal(signal.SIGINT)
-        genuine(self, state, work)
+        genuine(self, state, work, writer)
 
     with monkeypatch.context() as patch:
         patch.setattr(variant_run.VariantRun, "_after_step", asking)
@@ -231,7 +231,7 @@ def test_a_signal_ends_the_command_with_one_line_and_130(tmp_path, name):
 
 
 def test_a_second_signal_does_not_wait_for_the_step(tmp_path, monkeypatch):
-    def impatient(self, state, work):
+    def impatient(self, state, work, writer):
         for _ in range(2):
             signal.raise_signal(signal.SIGINT)
 

@@ -3,7 +3,7 @@
 from numba import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def product(indptr, indices, A, x, y):
     """Write y_i = sum_j A_ij x_j into y (n, d): each stored block below the diagonal serves A_ij and A_ji = A_ij^T."""
     if A.shape[1] == 3:
@@ -21,7 +21,7 @@ def product(indptr, indices, A, x, y):
                         y[j, b] += A[k, a, b] * x[i, a]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def scalar_product(indptr, indices, order, m, x, y):
     """Write the product of a symmetric matrix of numbers with x (n, d) into y; both in the order of the nodes."""
     y[:] = 0.0
@@ -37,7 +37,7 @@ def scalar_product(indptr, indices, order, m, x, y):
                 y[j, a] += m[k] * x[i, a]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _product_in_space(indptr, indices, A, x, y):
     """Write the product for d = 3; written out, it runs at the speed at which A is read."""
     for i in range(len(indptr) - 1):

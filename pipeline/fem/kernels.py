@@ -18,7 +18,7 @@ _NEWTON = 30
 _SWEEPS = 20  # 4 x 4 needs about 5
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _quartics(F, C):
     """Write, a lane, 1/|F| and c1, c0 of det(N - x I) = x^4 - 2 x^2 + c1 x + c0 into C (3, LANES); F is scaled to 1.
 
@@ -46,7 +46,7 @@ def _quartics(F, C):
         C[2, l] = b01 * a23 - b02 * a13 + b03 * a12 + b12 * a03 - b13 * a02 + b23 * a01
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _largest_roots(C, root):
     """Write the largest root of each lane's quartic into root (LANES,): at most sqrt(3), where F is a rotation."""
     for l in range(LANES):
@@ -66,7 +66,7 @@ def _largest_roots(C, root):
             break
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _null_rotations(F, C, root, R, good):
     """Write the rotations of the null vectors of N - root I into R (9, LANES), and into good where they are defined.
 
@@ -105,7 +105,7 @@ def _null_rotations(F, C, root, R, good):
         R[6, l], R[7, l], R[8, l] = r * (i * k - w * j), r * (j * k + w * i), 1.0 - r * (i * i + j * j)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _quaternion_rotation(w, x, y, z, R, lane):
     """Write the rotation of the quaternion (w, x, y, z), of any length, into a lane of R."""
     r = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
@@ -115,7 +115,7 @@ def _quaternion_rotation(w, x, y, z, R, lane):
     R[6, lane], R[7, lane], R[8, lane] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def jacobi(A, Q):
     """Turn the symmetric A (k, k) into its eigenvalues on the diagonal, and write its eigenvectors, columns, into Q."""
     Q[:] = np.eye(len(A))
@@ -140,7 +140,7 @@ def jacobi(A, Q):
             break
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _jacobi_rotation(F, R, lane):
     """Write the closest rotation to one lane of F into that of R, by Jacobi's sweeps on N.
 
@@ -165,7 +165,7 @@ def _jacobi_rotation(F, R, lane):
     _quaternion_rotation(Q[0, best], Q[1, best], Q[2, best], Q[3, best], R, lane)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _polar(F, count, R, root, good, C):
     """Write the closest rotations to the first `count` lanes of F (9, LANES) into R; the rest is scratch."""
     _quartics(F, C)
@@ -176,14 +176,14 @@ def _polar(F, count, R, root, good, C):
             _jacobi_rotation(F, R, l)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _lanes():
     """Return room for F, R, P (9, LANES) and W (LANES,), and what _polar needs beside: root, good, C."""
     F, R, P = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES))
     return F, R, P, np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros((3, LANES))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _load(A, first, count, lanes):
     """Copy A[first : first + count] (…, 3, 3) into lanes (9, LANES)."""
     for l in range(count):
@@ -192,7 +192,7 @@ def _load(A, first, count, lanes):
                 lanes[3 * i + j, l] = A[first + l, i, j]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _store(lanes, first, count, A):
     """Copy lanes (9, LANES) into A[first : first + count] (…, 3, 3)."""
     for l in range(count):
@@ -201,7 +201,7 @@ def _store(lanes, first, count, A):
                 A[first + l, i, j] = lanes[3 * i + j, l]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def polar_rotations(A, R):
     """Write the closest rotation to each A (e, 3, 3) into R, which may be A itself."""
     F, Q, _, _, root, good, C = _lanes()
@@ -212,7 +212,7 @@ def polar_rotations(A, R):
         _store(Q, first, count, R)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _gradients(x, cells, G, first, count, F):
     """Write F = sum_a (x_a - x_0) (x) grad N_a of `count` cells from `first` on into F (9, LANES)."""
     for l in range(count):
@@ -224,7 +224,7 @@ def _gradients(x, cells, G, first, count, F):
                 F[3 * i + j, l] = x1 * G[e, 0, j] + x2 * G[e, 1, j] + x3 * G[e, 2, j]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _stresses(F, R, mu, lam, P, W):
     """Write P = R (2 mu e + lam tr(e) I), e = sym(R^T F) - I, into P (9, LANES) and the energy densities into W."""
     for l in range(LANES):
@@ -248,7 +248,7 @@ def _stresses(F, R, mu, lam, P, W):
             P[i + 2, l] = r0 * s02 + r1 * s12 + r2 * s22
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def energy(x, cells, G, V, mu, lam):
     """Return sum V W(F) with the polar rotations."""
     F, R, P, W, root, good, C = _lanes()
@@ -263,7 +263,7 @@ def energy(x, cells, G, V, mu, lam):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _scatter_force(cell, G, volume, P, lane, f):
     """Add -V P grad N_a to the forces of the cell's corners; they sum to zero."""
     last0 = last1 = last2 = 0.0
@@ -281,7 +281,7 @@ def _scatter_force(cell, G, volume, P, lane, f):
     f[cell[0], 2] += last2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def force(x, cells, G, V, mu, lam, f):
     """Write f_a = -sum V P grad N_a into f (n, 3), with the polar rotations."""
     f[:] = 0.0
@@ -295,7 +295,7 @@ def force(x, cells, G, V, mu, lam, f):
             _scatter_force(cells[first + l], G[first + l], V[first + l], P, l, f)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _scatter_stiffness(G, vm, vl, R, lane, blocks, g, A):
     """Add vm (G_a . G_b) I + vm g_b g_a^T + vl g_a g_b^T, g = R G, to the ten blocks (a, b <= a) of a cell."""
     for i in range(3):
@@ -323,7 +323,7 @@ def _scatter_stiffness(G, vm, vl, R, lane, blocks, g, A):
             block[2, 2] += dot + (m2 + l2) * b2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def linearise(x, cells, G, V, mu, lam, pairs, scale, given, Rs, f, A):
     """Write forces into f (n, 3), add scale times the frozen stiffness to A (blocks, 3, 3).
 
@@ -346,7 +346,7 @@ def linearise(x, cells, G, V, mu, lam, pairs, scale, given, Rs, f, A):
             _scatter_stiffness(G[e], scale * V[e] * mu, scale * V[e] * lam, R, l, pairs[e], g, A)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def rotations(x, cells, G, R):
     """Write the polar rotation of every cell's F into R (e, 3, 3)."""
     F, Q, _, _, root, good, C = _lanes()
@@ -357,7 +357,7 @@ def rotations(x, cells, G, R):
         _store(Q, first, count, R)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def nodal_rotations(x, cells, G, V, R):
     """Write into R (n, 3, 3) the polar rotation of each node's sum of V F."""
     R[:] = 0.0

@@ -12,7 +12,7 @@ from numba import njit
 from pipeline.fem.kernels import LANES, _gradients, _lanes, _polar, jacobi
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _stretch(F, R, lane, S):
     """Write sym(R^T F) of a lane into S (3, 3)."""
     for i in range(3):
@@ -23,7 +23,7 @@ def _stretch(F, R, lane, S):
     S[1, 2] = S[2, 1] = 0.5 * (S[1, 2] + S[2, 1])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _turned_gradients(G, R, lane, q0, q1, q2, w):
     """Write R (q x grad N_b) of the four corners into w (4, 3); they sum to zero."""
     for b in range(3):
@@ -34,7 +34,7 @@ def _turned_gradients(G, R, lane, q0, q1, q2, w):
         w[0, i] = -(w[1, i] + w[2, i] + w[3, i])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
     """Add scale times the term above to A (blocks, 3, 3); negative factors are left out if projected."""
     F, R, _, _, root, good, C = _lanes()
@@ -57,7 +57,7 @@ def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
                 _add_square(scale * V[e] * factor, w, pairs[e], A)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _add_square(factor, w, blocks, A):
     """Add factor w_a w_b^T to the ten blocks (a, b <= a) of a cell."""
     k = 0

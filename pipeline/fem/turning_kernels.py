@@ -9,7 +9,7 @@ from numba import njit
 from pipeline.fem.kernels import LANES, _gradients, _lanes, _load, _polar, _store, _stresses
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def turning(x, cells, G, mu, lam, used, reached):
     """Write the polar rotations into reached (e, 3, 3); return the least tr(U^T R) and the largest |P(F,R) - P(F,U)|.
 
@@ -39,7 +39,7 @@ def turning(x, cells, G, mu, lam, used, reached):
     return least, np.sqrt(largest)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def bounds(x, cells, G, mu, lam):
     """Return what tan(angle / 2) and |P(F,R) - P(F,I)| do not exceed in any cell, without finding R.
 

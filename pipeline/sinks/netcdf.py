@@ -42,7 +42,7 @@ class NetcdfSink:
 
     def _write_steps(self, last: int, measured: Values) -> None:
         """Append what is known of the steps since the frame before; none has led to the first frame."""
-        for name in measured.keys() & STEPS.keys() if last else ():
+        for name in [name for name in STEPS if name in measured] if last else ():  # in this order: the same bytes
             first = last - len(measured[name])
             self._dataset[name][first:last] = measured[name]
             self._dataset["step"][first:last] = np.arange(first, last) + 1

@@ -1,81 +1,85 @@
-"""Writing beside solving: a bounded queue and one thread that hands frames to other sinks, in order.
+"""Writing beside solving: a bounded queue and one thread that measures and writes frames, in order.
 
-What writing takes is compression and waiting for the disk, which leave the interpreter free for the next step.
+What it does is arithmetic on whole arrays, compression and waiting for the disk, which leave the interpreter free for
+the next step. For small meshes it is mostly the interpreter itself, and two threads only take it from each other.
 """
 
+import sys
 import threading
-import time
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from queue import Queue
 
-from pipeline.frame import Frame, Sink, Values
+from pipeline.frame import Frame
+from pipeline.run import Watcher
 
 # enough to bridge one slow fsync; more would only take memory
 WAITING_FRAMES = 4
+# cells: measured, 192 take longer beside than one after the other, 10 000 two thirds of that
+WORTH_A_THREAD = 1000
+# [s] a thread that comes back from compiled code waits so long for the interpreter; with Python's 5 ms a solver of many
+# short array operations and a writer of many short calls take as long together as one after the other
+_TURN = 1e-4
+
+
+@contextmanager
+def short_turns() -> Iterator[None]:
+    """Have threads give up the interpreter sooner."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_TURN)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
 
 
 class Overlapped:
-    """Writes into `sinks` on a thread of its own; the first failure is raised by the next write, drain or close."""
+    """Hands frames on from a thread of its own; the first failure is raised by the next take, drain or close."""
 
-    def __init__(self, sinks: Sequence[Sink], *, waiting: int = WAITING_FRAMES) -> None:
-        self._sinks = tuple(sinks)
-        self._queue: Queue[tuple[Frame, Values] | None] = Queue(waiting)
+    def __init__(self, watcher: Watcher, *, waiting: int = WAITING_FRAMES) -> None:
+        self._watcher = watcher
+        self._queue: Queue[Frame | None] = Queue(waiting)
         self._failure: BaseException | None = None
         self._failed = False
-        self._busy = self._waited = 0.0
         self._thread: threading.Thread | None = None
 
-    @property
-    def hidden_seconds(self) -> float:
-        """Return the seconds of writing that the caller did not wait for."""
-        return max(self._busy - self._waited, 0.0)
-
-    def write(self, frame: Frame, measured: Values) -> None:
+    def take(self, frame: Frame) -> None:
         """Take one frame, when there is room; raises what an earlier one failed with."""
         self._raise_failure()
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="writer", daemon=True)
             self._thread.start()
-        began = time.perf_counter()
-        self._queue.put((frame, measured))
-        self._waited += time.perf_counter() - began
+        self._queue.put(frame)
 
     def drain(self) -> None:
         """Wait until every frame taken is written; raises what one of them failed with."""
-        began = time.perf_counter()
         self._queue.join()
-        self._waited += time.perf_counter() - began
         self._raise_failure()
 
     def close(self) -> None:
-        """Write what is waiting, end the thread and close the sinks; raises the first failure."""
-        began = time.perf_counter()
+        """Write what is waiting, end the thread and close the watcher; raises the first failure."""
         if self._thread is not None:
             self._queue.put(None)
             self._thread.join()
             self._thread = None
-        self._waited += time.perf_counter() - began
-        for sink in self._sinks:
-            try:
-                sink.close()
-            except Exception as error:
-                self._failure = self._failure or error
+        try:
+            self._watcher.close()
+        except Exception as error:
+            self._failure = self._failure or error
         self._raise_failure()
 
     def _work(self) -> None:
-        """Write frames until None comes; after a failure take them without effect, so that nobody waits for ever."""
-        while (taken := self._queue.get()) is not None:
-            began = time.perf_counter()
+        """Hand frames on until None comes; after a failure take them without effect: nobody waits for ever."""
+        while (frame := self._queue.get()) is not None:
             try:
-                for sink in self._sinks if not self._failed else ():
-                    sink.write(*taken)
+                if not self._failed:
+                    self._watcher.take(frame)
             except BaseException as error:  # raised again where it can stop the run
                 self._failure, self._failed = error, True
-            self._busy += time.perf_counter() - began
             self._queue.task_done()
 
     def _raise_failure(self) -> None:
-        """Raise what the writer failed with, once."""
+        """Raise what failed, once."""
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure

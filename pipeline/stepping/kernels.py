@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def fill(values, taken, target, band):
     """Write values[taken] to band[target], both flat, and zero elsewhere."""
     band[:] = 0.0
@@ -12,7 +12,7 @@ def fill(values, taken, target, band):
         band[target[k]] = values[taken[k]]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def dot(a, b):
     """Return a . b."""
     total = 0.0
@@ -22,7 +22,7 @@ def dot(a, b):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def subtract(b, Ax, r):
     """Write b - A x into r and return |r|."""
     total = 0.0
@@ -33,7 +33,7 @@ def subtract(b, Ax, r):
     return np.sqrt(total)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def descend(step, p, Ap, x, r):
     """Add step p to x, take step A p from r, and return |r|."""
     total = 0.0
@@ -45,7 +45,7 @@ def descend(step, p, Ap, x, r):
     return np.sqrt(total)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def by_blocks(D, r, Ap, z):
     """Write D_n r_n into z (n, d) for every node n; return z . r and z . A p."""
     d = r.shape[1]
@@ -61,7 +61,7 @@ def by_blocks(D, r, Ap, z):
     return zr, zAp
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def turn(Q, r, order, size, y):
     """Write Q^T r / size into y (n d,) in single precision, its nodes in the given order."""
     d = r.shape[1]
@@ -74,7 +74,7 @@ def turn(Q, r, order, size, y):
             y[d * k + i] = value / size
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def turn_back(Q, y, order, size, r, Ap, z):
     """Write size Q y into z (n, d); return z . r and z . A p."""
     d = r.shape[1]
@@ -92,7 +92,7 @@ def turn_back(Q, y, order, size, r, Ap, z):
     return zr, zAp
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def follow(z, beta, p):
     """Write z + beta p into p."""
     for i in range(len(p)):
