@@ -19,6 +19,7 @@ from pipeline.frame import Frame
 from pipeline.mesh.shapes import box
 from pipeline.mesh.simplex import signed_volumes
 from pipeline.series import read_series
+from pipeline.series.engine import lazy_dataset
 from pipeline.stepping.guard import Guarded
 from tests.bodies import solid
 
@@ -168,8 +169,8 @@ def test_recorded_steps_do_not_disturb_what_reads_frames(tmp_path) -> None:
     found = compare([folder / "polar", folder / "linear"], tmp_path / "compared")
     with xarray.open_dataset(found.folder / "comparison.nc") as joined:
         assert "rung" in joined and "step" not in joined.dims and joined.sizes["time"] == 5
-    with xarray.open_dataset(folder / "polar" / "series.pvd", engine="corotational-pipeline") as lazy:
-        assert lazy["step_rung"].dims == ("time", "step_of_frame") and lazy["step_rung"].shape == (5, 3)
+    steps = lazy_dataset(read_series(folder / "polar"))["step_rung"]
+    assert steps.dims == ("time", "step_of_frame") and steps.shape == (5, 3)
 
 
 def test_the_plot_of_efforts_goes_with_the_variants_that_it_shows(tmp_path) -> None:

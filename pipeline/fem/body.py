@@ -121,6 +121,9 @@ class Body:
         F = deformation_gradient(self.mesh, x)
         return nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
 
+    def rehearse(self) -> None:
+        """Do once at rest what steps will ask for, so that kernels, where there are any, are loaded before them."""
+
     def turning(self, x: Floats, used: Floats, enough: float = 0.0) -> Turning:
         """Return how far the cells at x have turned from the rotations used (e, d, d), or (1, d, d) for all.
 

@@ -46,6 +46,11 @@ class CompiledBody(Body):
     def _pairs(self) -> np.ndarray:
         return self.assembly.pairs.astype(np.int32)
 
+    def rehearse(self) -> None:
+        """Call the kernels of an implicit step: they are compiled, or loaded, here."""
+        X = self.mesh.points
+        self.energy(X), self.nodal_rotations(X), self.linearise(X)
+
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, 3)."""
         from pipeline.fem import kernels

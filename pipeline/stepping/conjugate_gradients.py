@@ -38,7 +38,18 @@ class ConjugateGradients:
         self.rtol = rtol
         self.preconditioner = preconditioner
         n, d = pattern.nodes, pattern.dimension
-        self._r, self._z, self._p, self._Ap = (np.empty((n, d)) for _ in range(4))
+        self._r, self._z, self._p, self._Ap = (np.zeros((n, d)) for _ in range(4))
+        self._load_kernels()
+
+    def _load_kernels(self) -> None:
+        """Call what a solve calls, on zeros: kernels are compiled, or loaded, here and not in a timed step."""
+        from pipeline.stepping import kernels
+
+        r, d = self._r, self.pattern.dimension
+        self.pattern.product(np.zeros((self.pattern.blocks, d, d)), r, self._Ap)
+        kernels.subtract(r, self._Ap, self._z)
+        kernels.descend(kernels.dot(r, r), self._p, self._Ap, self._z, r)
+        kernels.follow(self._z, 0.0, self._p)
 
     def update(self, values: Floats, frames: Frames) -> Work:
         """Take the matrix with these values; they are not copied."""

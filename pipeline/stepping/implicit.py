@@ -133,7 +133,7 @@ class FrozenPasses:
         self.body = body
         self.system = StageSystem(body, solver)
         self.passes = passes
-        body.linearise(body.mesh.points)  # kernels are compiled, or loaded, here and not in a timed step
+        body.rehearse()
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v after the last pass."""

@@ -96,7 +96,11 @@ class TurnedFactor:
         self.pattern = pattern
         self.factor = None if rest is None else rest_factor(pattern, rest())
         self._setup = Work(factorisations=1)
-        self._y = np.empty(pattern.nodes * pattern.dimension, dtype=np.float32)
+        n, d = pattern.nodes, pattern.dimension
+        self._y = np.zeros(n * d, dtype=np.float32)
+        if self.factor is not None:  # kernels are compiled, or loaded, here and not in a timed step
+            self._Q = np.zeros((n, d, d))
+            self.apply(np.zeros((n, d)), 0.0, np.zeros((n, d)), np.zeros((n, d)))
 
     def update(self, values: Floats, frames: Frames) -> Work:
         """Take the nodal rotations (n, d, d) of the matrix' state."""
