@@ -122,7 +122,7 @@ class Body:
         return nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
 
     def rehearse(self) -> None:
-        """Do once at rest what steps will ask for, so that kernels, where there are any, are loaded before them."""
+        """Have kernels, where there are any, loaded before the steps that will ask for them."""
 
     def turning(self, x: Floats, used: Floats, enough: float = 0.0) -> Turning:
         """Return how far the cells at x have turned from the rotations used (e, d, d), or (1, d, d) for all.

@@ -47,9 +47,16 @@ class CompiledBody(Body):
         return self.assembly.pairs.astype(np.int32)
 
     def rehearse(self) -> None:
-        """Call the kernels of an implicit step: they are compiled, or loaded, here."""
-        X = self.mesh.points
-        self.energy(X), self.nodal_rotations(X), self.linearise(X)
+        """Call the kernels of an implicit step on no cells: they are compiled, or loaded, here."""
+        from pipeline.fem import kernels
+
+        cells, G, V, mu, lam = self._cells
+        X, none = _plain(self.mesh.points), (cells[:0], G[:0], V[:0])
+        kernels.energy(X, *none, mu, lam)
+        kernels.nodal_rotations(X, *none, np.empty((0, 3, 3)))
+        kernels.linearise(
+            X, *none, mu, lam, self._pairs[:0], 1.0, False, _NO_ROTATIONS, np.empty_like(X), np.empty((0, 3, 3))
+        )
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, 3)."""
