@@ -82,7 +82,7 @@ def _timed_step(stepper: Stepper, state: State) -> tuple[State, Work]:
     except SolveError as error:
         raise SolveError(f"{error} ({at})") from error
     # written so that NaN fails too
-    if not (np.abs(new.x).max() < _BEYOND and np.abs(new.v).max() < _BEYOND):
+    if not (np.vdot(new.x, new.x) < _BEYOND**2 and np.vdot(new.v, new.v) < _BEYOND**2):
         raise SolveError(f"positions are no longer finite {at}; try a smaller schedule.dt than {stepper.dt:g}")
     return new, work + Work(seconds=time.perf_counter() - began)
 

@@ -56,15 +56,18 @@ def test_the_compiled_turning_is_the_plain_one_and_its_bound_holds(shake: float,
     plain = Body(compiled.mesh, compiled.law, compiled.supports, compiled.load, compiled.mass_pairs)
     X = compiled.mesh.points
     x = X @ rotation_about(np.array([1.0, 2.0, -1.0]), turn).T + shake * rng.normal(size=X.shape)
-    for used in (np.eye(3)[None], plain.rotations(X + 0.05 * rng.normal(size=X.shape))):
-        ours, expected = compiled.turning(x, used), plain.turning(x, used)
+    R, S, T = np.empty((3, *plain.rotations(x).shape))
+    for used in (None, plain.rotations(X + 0.05 * rng.normal(size=X.shape))):
+        ours, expected = compiled.turning(x, used, R), plain.turning(x, used, S)
         assert ours.indicator == pytest.approx(expected.indicator, rel=1e-9, abs=1e-13)
-        np.testing.assert_allclose(ours.reached, expected.reached, atol=1e-9)
-    exact = plain.turning(x, np.eye(3)[None]).indicator
-    bounded = compiled.turning(x, np.eye(3)[None], enough=np.inf)
-    assert bounded.reached is None and exact <= bounded.indicator * (1 + 1e-9)
+        assert ours.from_rest == pytest.approx(expected.from_rest, rel=1e-9, abs=1e-13)
+        np.testing.assert_allclose(R, S, atol=1e-9)
+        assert compiled.turn(x, T) == ours.from_rest and plain.turn(x, T) == expected.from_rest
+        np.testing.assert_array_equal(S, T)
+    exact, bound = plain.turning(x, None, S).indicator, compiled.turning_bound(x)
+    assert exact <= bound * (1 + 1e-9)
     if turn < 0.01 and shake < 0.01:
-        assert bounded.indicator < 20 * exact  # of use where rotations are small
+        assert bound < 20 * exact  # of use where rotations are small
 
 
 @pytest.mark.parametrize(("velocity", "rungs"), [(-1.0, {(0, 1): 40}), (-20.0, {(0, 1): 36, (1, 1): 3, (1, 2): 1})])

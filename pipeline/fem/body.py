@@ -13,7 +13,7 @@ from pipeline.fem.loads import lumped_mass_pairs
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
-from pipeline.fem.turning import Turning, turning
+from pipeline.fem.turning import Turning, spurious_volume, turning
 from pipeline.mesh.simplex import Floats, Ints, Mesh
 
 
@@ -89,9 +89,17 @@ class Body:
         steepest = (self.mesh.shape_gradients**2).sum(axis=(1, 2)).max()
         return float(np.sqrt((m.lam + 2 * m.mu) * (self.mesh.dimension + 1) * steepest / m.density))
 
-    def momentum(self, v: Floats) -> Floats:
-        """Return M v (n, d) [kg m/s]; lumped masses need no matrix."""
-        out = np.empty_like(v)
+    @cached_property
+    def _held_at_rest(self) -> Floats:
+        return np.asarray(self.mesh.points[self.supports.nodes])
+
+    def held_positions(self, time: float) -> Floats:
+        """Return where the supports hold their nodes (k, d) at a time [s]; not to be changed."""
+        return self.supports.positions(self.mesh.points, time) if self.supports.motions else self._held_at_rest
+
+    def momentum(self, v: Floats, out: Floats | None = None) -> Floats:
+        """Return M v (n, d) [kg m/s], in `out` where that is given; lumped masses need no matrix."""
+        out = np.empty_like(v) if out is None else out
         if self.mass_pairs is lumped_mass_pairs:
             return np.multiply(self.lumped_mass[:, None], v, out=out)
         from pipeline.fem.block_kernels import scalar_product
@@ -104,7 +112,7 @@ class Body:
         """Return the law's frame of every cell (e, d, d) at positions x (n, d)."""
         return self.law.rotations(deformation_gradient(self.mesh, x))
 
-    def nodal_rotations(self, x: Floats) -> Floats:
+    def nodal_rotations(self, x: Floats, out: Floats | None = None) -> Floats:
         """Return how the cells about each node have turned (n, d, d): the polar rotation of their mean gradient."""
         V, F = self.mesh.rest_volumes, deformation_gradient(self.mesh, x)
         e, d = F.shape[:2]
@@ -124,12 +132,18 @@ class Body:
     def rehearse(self) -> None:
         """Have kernels, where there are any, loaded before the steps that will ask for them."""
 
-    def turning(self, x: Floats, used: Floats, enough: float = 0.0) -> Turning:
-        """Return how far the cells at x have turned from the rotations used (e, d, d), or (1, d, d) for all.
+    def turn(self, x: Floats, R: Floats) -> float:
+        """Write the law's frame of every cell into R (e, d, d); return the spurious volume of the most turned one."""
+        R[:] = self.rotations(x)
+        return spurious_volume(float(np.trace(R, axis1=1, axis2=2).min()), x.shape[1])
 
-        Where it can be seen without finding the rotations that the indicator is at most `enough`, they are not found.
-        """
-        return turning(self.law, deformation_gradient(self.mesh, x), used)
+    def turning(self, x: Floats, used: Floats | None, reached: Floats) -> Turning:
+        """Write the rotations at x into reached (e, d, d); return how far they are from those used, None for I."""
+        return turning(self.law, deformation_gradient(self.mesh, x), used, reached)
+
+    def turning_bound(self, x: Floats) -> float:
+        """Return what the indicator of turning(x, None) does not exceed, without finding rotations; infinite: no idea."""
+        return np.inf
 
     def linearise(self, x: Floats, R: Floats | None = None, kind: Tangent = "frozen") -> tuple[Floats, Floats]:
         """Return the elastic forces (n, d) [N] and the values of K = -df/dx (blocks, d, d) [N/m]."""

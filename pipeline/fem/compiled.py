@@ -12,7 +12,7 @@ from pipeline.fem.body import Body
 from pipeline.fem.laws import CREASE, Corotational, Law, Tangent
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
-from pipeline.fem.turning import Turning, indicator
+from pipeline.fem.turning import Turning, indicator, spurious_volume
 from pipeline.mesh.simplex import Floats, Mesh
 
 
@@ -72,28 +72,37 @@ class CompiledBody(Body):
         kernels.rotations(_plain(x), *self._cells[:2], R)
         return R
 
-    def nodal_rotations(self, x: Floats) -> Floats:
-        """Return the polar rotation of each node's mean gradient (n, 3, 3)."""
+    def nodal_rotations(self, x: Floats, out: Floats | None = None) -> Floats:
+        """Return the polar rotation of each node's mean gradient (n, 3, 3), in `out` where that is given."""
         from pipeline.fem import kernels
 
-        R = np.empty((len(x), 3, 3))
+        R = np.empty((len(x), 3, 3)) if out is None else out
         kernels.nodal_rotations(_plain(x), *self._cells[:3], R)
         return R
 
-    def turning(self, x: Floats, used: Floats, enough: float = 0.0) -> Turning:
-        """Return how far the cells at x have turned from the rotations used; a bound decides where it can."""
+    def turn(self, x: Floats, R: Floats) -> float:
+        """Write the polar rotations into R (e, 3, 3); return the spurious volume of the most turned one."""
+        from pipeline.fem import kernels
+
+        return spurious_volume(kernels.rotations(_plain(x), *self._cells[:2], R), 3)
+
+    def turning(self, x: Floats, used: Floats | None, reached: Floats) -> Turning:
+        """Write the rotations at x into reached (e, 3, 3); return how far they are from those used, None for I."""
         from pipeline.fem import turning_kernels
 
         cells, G, _, mu, lam = self._cells
-        if len(used) == 1 and np.array_equal(used[0], np.eye(3)):
-            tangent, stress = turning_kernels.bounds(_plain(x), cells, G, mu, lam)
-            cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, by that of its half
-            bound = indicator(1 + 2 * cosine, 3, stress, self.material)
-            if bound <= enough:
-                return Turning(bound, None)
-        reached = np.empty((len(cells), 3, 3))
-        trace, stress = turning_kernels.turning(_plain(x), cells, G, mu, lam, _plain(used), reached)
-        return Turning(indicator(trace, 3, stress, self.material), reached)
+        before = _NO_ROTATIONS if used is None else used
+        trace, stress, own = turning_kernels.turning(_plain(x), cells, G, mu, lam, before, reached)
+        return Turning(indicator(trace, 3, stress, self.material), spurious_volume(own, 3))
+
+    def turning_bound(self, x: Floats) -> float:
+        """Return what the indicator of turning(x, None) does not exceed, without finding rotations."""
+        from pipeline.fem import turning_kernels
+
+        cells, G, _, mu, lam = self._cells
+        tangent, stress = turning_kernels.bounds(_plain(x), cells, G, mu, lam)
+        cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, by that of its half
+        return indicator(1 + 2 * cosine, 3, stress, self.material)
 
     def force(self, x: Floats, R: Floats | None = None) -> Floats:
         """Return the elastic forces ON the nodes (n, 3) [N]; with given rotations the plain way."""

@@ -348,13 +348,17 @@ def linearise(x, cells, G, V, mu, lam, pairs, scale, given, Rs, f, A):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def rotations(x, cells, G, R):
-    """Write the polar rotation of every cell's F into R (e, 3, 3)."""
+    """Write the polar rotation of every cell's F into R (e, 3, 3); return the least trace of them."""
     F, Q, _, _, root, good, C = _lanes()
+    least = 3.0
     for first in range(0, len(cells), LANES):
         count = min(LANES, len(cells) - first)
         _gradients(x, cells, G, first, count, F)
         _polar(F, count, Q, root, good, C)
         _store(Q, first, count, R)
+        for l in range(count):
+            least = min(least, Q[0, l] + Q[4, l] + Q[8, l])
+    return least
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

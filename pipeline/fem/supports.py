@@ -34,17 +34,17 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Supports:
-    """Held nodes (k,) and the motions of some of them; a node without one stays at its rest position."""
+    """Held nodes (k,), ascending, and the motions of some of them; a node without one stays at its rest position."""
 
     nodes: Ints
     motions: Sequence[tuple[Ints, Motion]] = ()
 
     def positions(self, points: Floats, time: float) -> Floats:
         """Return the positions of `nodes` (k, d) at a time [s]."""
-        x = points.copy()
+        x = points[self.nodes]
         for nodes, motion in self.motions:
-            x[nodes] = motion.positions(points[nodes], time)
-        return np.asarray(x[self.nodes])
+            x[np.searchsorted(self.nodes, nodes)] = motion.positions(points[nodes], time)
+        return x
 
 
 def rotation_about(axis: Floats, angle: float) -> Floats:

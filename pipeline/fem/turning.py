@@ -21,10 +21,10 @@ _WEIGHT = 4 / 3
 
 @dataclass(frozen=True, eq=False)
 class Turning:
-    """The indicator and the rotations reached (e, d, d): None where a bound, then the indicator, showed enough."""
+    """The indicator of (used, reached), and the spurious volume of (I, reached): what the linear law would have."""
 
     indicator: float
-    reached: Floats | None
+    from_rest: float
 
 
 def spurious_volume(trace: float, d: int) -> float:
@@ -38,10 +38,16 @@ def indicator(trace: float, d: int, stress: float, material: Material) -> float:
     return max(spurious_volume(trace, d), _WEIGHT * stress / (2 * material.mu + material.lam))
 
 
-def turning(law: Law, F: Floats, used: Floats) -> Turning:
-    """Return the turning of cells with gradients F (e, d, d) from the rotations used (e, d, d) or (1, d, d)."""
-    U, reached = np.broadcast_to(used, F.shape), law.rotations(F)
+def turning(law: Law, F: Floats, used: Floats | None, reached: Floats) -> Turning:
+    """Write the rotations of the gradients F (e, d, d) into reached; return their turning from those used.
+
+    None stands for identities.
+    """
+    d = F.shape[-1]
+    U = np.broadcast_to(np.eye(d) if used is None else used, F.shape)
+    reached[:] = law.rotations(F)
     trace = float(np.einsum("eij,eij->e", U, reached).min())
     stray = law.stress(F, reached) - law.stress(F, U)
     stress = float(np.sqrt((stray**2).sum(axis=(1, 2))).max())
-    return Turning(indicator(trace, F.shape[-1], stress, law.material), reached)
+    own = float(np.trace(reached, axis1=1, axis2=2).min())
+    return Turning(indicator(trace, d, stress, law.material), spurious_volume(own, d))

@@ -11,21 +11,20 @@ from pipeline.fem.kernels import LANES, _gradients, _lanes, _load, _polar, _stor
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def turning(x, cells, G, mu, lam, used, reached):
-    """Write the polar rotations into reached (e, 3, 3); return the least tr(U^T R) and the largest |P(F,R) - P(F,U)|.
+    """Write the polar rotations R into reached (e, 3, 3); return three numbers over all cells.
 
-    U are the rotations `used` (e, 3, 3), or those of one for all cells (1, 3, 3).
+    They are the least tr(U^T R), the largest |P(F,R) - P(F,U)|, and the least tr R. U are the rotations `used`
+    (e, 3, 3), or, where there are none, identities.
     """
     F, R, P, W, root, good, C = _lanes()
     U, Q = np.zeros((9, LANES)), np.zeros((9, LANES))
-    if len(used) == 1:
-        for l in range(LANES):
-            _load(used, 0, 1, U[:, l : l + 1])
-    least, largest = 3.0, 0.0
+    U[0], U[4], U[8] = 1.0, 1.0, 1.0
+    least, largest, own = 3.0, 0.0, 3.0
     for first in range(0, len(cells), LANES):
         count = min(LANES, len(cells) - first)
         _gradients(x, cells, G, first, count, F)
         _polar(F, count, R, root, good, C)
-        if len(used) > 1:
+        if len(used) > 0:
             _load(used, first, count, U)
         _stresses(F, R, mu, lam, P, W)
         _stresses(F, U, mu, lam, Q, W)
@@ -34,9 +33,9 @@ def turning(x, cells, G, mu, lam, used, reached):
             for k in range(9):
                 trace += R[k, l] * U[k, l]
                 apart += (P[k, l] - Q[k, l]) ** 2
-            least, largest = min(least, trace), max(largest, apart)
+            least, largest, own = min(least, trace), max(largest, apart), min(own, R[0, l] + R[4, l] + R[8, l])
         _store(R, first, count, reached)
-    return least, np.sqrt(largest)
+    return least, np.sqrt(largest), own
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

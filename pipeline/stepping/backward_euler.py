@@ -7,6 +7,8 @@ and lags by atan z a step. Not for motions whose oscillation matters: 1 % of dam
 from dataclasses import dataclass
 from math import atan, hypot, log
 
+import numpy as np
+
 from pipeline.fem.body import Body
 from pipeline.stepping.implicit import Stage, StageSolver
 from pipeline.stepping.inversion import Treatment, tracked_rotations
@@ -24,10 +26,11 @@ class BackwardEuler:
 
     def step(self, state: State) -> tuple[State, Work]:
         """Return the state dt later."""
-        held = self.body.supports.positions(self.body.mesh.points, (state.step + 1) * self.dt)
+        held = self.body.held_positions((state.step + 1) * self.dt)
         R, memory = tracked_rotations(self.treatment, self.body, state.x, state)
         v, work = self.stage_solver.solve(Stage(state.x, state.v, self.dt, state.x, held, R))
-        x = state.x + self.dt * v
+        x = np.multiply(v, self.dt)
+        x += state.x
         x[self.body.supports.nodes] = held
         return State(state.step + 1, x, v, memory), work + Work(steps=1)
 

@@ -25,8 +25,7 @@ class Band:
         ones = np.ones(2 * len(i))
         graph = csr_array((ones, (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n))
         self.order = reverse_cuthill_mckee(graph, symmetric_mode=True)
-        place = np.empty(n, dtype=np.int64)
-        place[self.order] = np.arange(n)
+        self.place = place = np.argsort(self.order)
         axis = np.arange(d)
         row = d * place[i][:, None, None] + axis[:, None]
         column = d * place[j][:, None, None] + axis[None, :]
@@ -78,16 +77,16 @@ class BandedCholesky:
     def __init__(self, pattern: BlockPattern, rtol: float = 0.0, rest: object = None) -> None:
         self._band = band_of(pattern)
         self._storage = np.empty((self._band.size, self._band.width))
+        self._y = np.empty((pattern.nodes, pattern.dimension))
 
     def update(self, values: Floats, frames: object = None) -> Work:
         """Factor the matrix; raises SolveError where it is not positive definite."""
         self._factor = factored(self._band.filled(values, self._storage))
         return Work(factorisations=1)
 
-    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
-        """Return the solution by substitution; the guess is not used."""
-        order = self._band.order
-        y, _ = dpbtrs(self._factor, b[order].ravel(), lower=1, overwrite_b=1)
-        x = np.empty_like(b)
-        x[order] = y.reshape(b.shape)
-        return x, Work(solves=1)
+    def solve(self, b: Floats, x: Floats) -> Work:
+        """Write the solution by substitution into x (n, d)."""
+        np.take(b, self._band.order, axis=0, out=self._y, mode="clip")
+        dpbtrs(self._factor, self._y.reshape(-1), lower=1, overwrite_b=1)
+        np.take(self._y, self._band.place, axis=0, out=x, mode="clip")
+        return Work(solves=1)

@@ -9,14 +9,17 @@ Not for impacts: it remembers the state before.
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from pipeline.fem.body import Body
+from pipeline.mesh.simplex import Floats
 from pipeline.stepping.backward_euler import BackwardEuler
 from pipeline.stepping.implicit import Stage, StageSolver
 from pipeline.stepping.inversion import Treatment, tracked_rotations
 from pipeline.stepping.state import State, Work
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class BDF2:
     """A stepper; `first` makes the first step, memory carries `x_before` and `v_before`."""
 
@@ -26,6 +29,9 @@ class BDF2:
     stage_solver: StageSolver
     treatment: Treatment | None = None
 
+    def __post_init__(self) -> None:
+        self._stage = np.empty((3, *self.body.mesh.points.shape))
+
     def step(self, state: State) -> tuple[State, Work]:
         """Return the state dt later."""
         memory = {"x_before": state.x, "v_before": state.v}
@@ -34,11 +40,21 @@ class BDF2:
             return State(1, began.x, began.v, {**began.memory, **memory}), work
         x, v = state.x, state.v
         x_before, v_before = state.memory["x_before"], state.memory["v_before"]
-        x_h, v_h, h = (4 * x - x_before) / 3, (4 * v - v_before) / 3, 2 * self.dt / 3
-        held = self.body.supports.positions(self.body.mesh.points, (state.step + 1) * self.dt)
-        extrapolated = 2 * x - x_before
+        h = 2 * self.dt / 3
+        x_h, v_h = _onward(x, x_before, 1 / 3, self._stage[0]), _onward(v, v_before, 1 / 3, self._stage[1])
+        extrapolated = _onward(x, x_before, 1.0, self._stage[2])
+        held = self.body.held_positions((state.step + 1) * self.dt)
         R, remembered = tracked_rotations(self.treatment, self.body, extrapolated, state)
         v_new, work = self.stage_solver.solve(Stage(x_h, v_h, h, extrapolated, held, R))
-        x_new = x_h + h * v_new
+        x_new = np.multiply(v_new, h)
+        x_new += x_h
         x_new[self.body.supports.nodes] = held
         return State(state.step + 1, x_new, v_new, {**remembered, **memory}), work + Work(steps=1)
+
+
+def _onward(now: Floats, before: Floats, part: float, out: Floats) -> Floats:
+    """Write now + part (now - before) into out, and return it: written so that what rests stays to the last bit."""
+    np.subtract(now, before, out=out)
+    out *= part
+    out += now
+    return out

@@ -56,18 +56,18 @@ class ConjugateGradients:
         self._values = values
         return self.preconditioner.update(values, frames)
 
-    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
-        """Return x (n, d) to a relative residual of rtol from guess; raises SolveError where that is not reached."""
+    def solve(self, b: Floats, x: Floats) -> Work:
+        """Improve x (n, d) to a relative residual of rtol; raises SolveError where that is not reached."""
         from pipeline.stepping import kernels
 
-        x, r, z, p, Ap = guess.copy(), self._r, self._z, self._p, self._Ap
+        r, z, p, Ap = self._r, self._z, self._p, self._Ap
         target = self.rtol * np.sqrt(kernels.dot(b, b))
         size = kernels.subtract(b, self.pattern.product(self._values, x, Ap), r)
         p[:] = 0.0
         rz, step = 1.0, 0.0  # so that the first direction is z
         for iteration in range(_LIMIT):
             if size <= target:
-                return x, Work(solves=1, linear_iterations=iteration)
+                return Work(solves=1, linear_iterations=iteration)
             rz_new, zAp = self.preconditioner.apply(r, size, Ap, z)
             # Polak-Ribiere, (r_new - r) . z = -step A p . z: a factor in single precision makes the preconditioner a
             # little different each time

@@ -39,21 +39,24 @@ class Auto:
         self.passes = passes
         self.newton = newton
         self.tolerance = tolerance
-        self._unturned = np.eye(body.mesh.dimension)[None]
-        self._last = (np.empty((0, 0)), Turning(np.inf, None))  # positions and how far they are from unturned
+        # the positions judged last, how far they had turned, and from I or not: what one step ends with, the next
+        # begins with
+        self._x = np.full_like(body.mesh.points, np.nan)
+        self._turned, self._from_rest = Turning(np.inf, np.inf), False
+        # rotations used and rotations reached, in turn
+        e, d = len(body.mesh.cells), body.mesh.dimension
+        self._used, self._reached = np.empty((2, e, d, d))
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return the accepted velocity; work says which rung and indicator; raises SolveError where Newton does."""
-        v, used, work = self._first(stage)
-        turned = self._turning(stage.x_h + stage.h * v, used)
+        v, work = self._first(stage)
+        turned = self._judged(stage, v)
         for _ in range(_PASSES):
             if turned.indicator <= self.tolerance:
                 return v, work + Work(indicator=turned.indicator)
-            assert turned.reached is not None
-            used, before = turned.reached, turned.indicator
-            v, done = self.passes.pass_from(stage.x_h, stage, used)
-            work += done + Work(rung=COROTATIONAL)
-            turned = self._turning(stage.x_h + stage.h * v, used)
+            before = turned.indicator
+            work += self._pass(stage, v)
+            turned = self._judged(stage, v)
             if not turned.indicator <= max(self.tolerance, _SHRINKS * before):
                 break
         if turned.indicator <= self.tolerance:
@@ -61,20 +64,44 @@ class Auto:
         v, done = self.newton.solve(stage)
         return v, work + done + Work(rung=CONVERGED)
 
-    def _first(self, stage: Stage) -> tuple[Floats, Floats, Work]:
-        """Return v of the first solve, the rotations it used, and its work."""
-        present = self._turning(stage.start, self._unturned)
-        if present.indicator <= self.tolerance:
+    def _first(self, stage: Stage) -> tuple[Floats, Work]:
+        """Return v of the first solve and its work."""
+        if self._is_near_rest(stage.start):
+            self._from_rest = True
             v, work = self.linear.solve(stage)
-            return v, self._unturned, work + Work(rotations=1)
-        assert present.reached is not None
-        v, work = self.passes.pass_from(stage.x_h, stage, present.reached)
-        return v, present.reached, work + Work(rung=COROTATIONAL)
+            return v, work + Work(rotations=1)
+        v = np.empty_like(stage.v_h)
+        return v, self._pass(stage, v)
 
-    def _turning(self, x: Floats, used: Floats) -> Turning:
-        """Return how far x has turned from the rotations used; a step starts where the one before it was judged."""
-        if used is not self._unturned:
-            return self.body.turning(x, used)
-        if not np.array_equal(x, self._last[0]):
-            self._last = x, self.body.turning(x, used, self.tolerance)
-        return self._last[1]
+    def _pass(self, stage: Stage, v: Floats) -> Work:
+        """Write into v the solution with the rotations reached, which are used from now on."""
+        self._used, self._reached = self._reached, self._used
+        self._from_rest = False
+        return self.passes.pass_from(stage.x_h, stage, v, self._used) + Work(rung=COROTATIONAL)
+
+    def _judged(self, stage: Stage, v: Floats) -> Turning:
+        """Return how far the stage's end has turned from the rotations used; a bound will do where it is low enough."""
+        np.multiply(v, stage.h, out=self._x)
+        self._x += stage.x_h
+        bound = self.body.turning_bound(self._x) if self._from_rest else np.inf
+        if bound <= self.tolerance:
+            self._turned = Turning(bound, bound)
+        else:
+            self._turned = self.body.turning(self._x, None if self._from_rest else self._used, self._reached)
+        return self._turned
+
+    def _is_near_rest(self, x: Floats) -> bool:
+        """Return whether cells at x are so little turned that the linear law will do; if not, find their rotations."""
+        from pipeline.stepping.kernels import same
+
+        if same(x, self._x):
+            if self._from_rest:
+                return self._turned.indicator <= self.tolerance
+            if self._turned.from_rest > self.tolerance:
+                return False
+        if self.body.turning_bound(x) <= self.tolerance:
+            return True
+        # the second part of the indicator takes longer to find: only where the first does not settle it
+        if self.body.turn(x, self._reached) > self.tolerance:
+            return False
+        return self.body.turning(x, None, self._reached).indicator <= self.tolerance

@@ -15,6 +15,7 @@ cell that turns by t in the step gains a volume of tan^2 t, and elongated bodies
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -54,15 +55,19 @@ class StageSystem:
 
     A (v - v*) = M (v_h - v*) + h (f_ext + f_el(x)),    A = M + h^2 K(x)
 
-    is the equation above with h K (x_h - x) = -h^2 K v* brought to the left. The arrays A and f are made once.
+    is the equation above with h K (x_h - x) = -h^2 K v* brought to the left. A, f and the right-hand side b are made
+    once, as is room for what a solve needs.
     """
 
     def __init__(self, body: Body, solver: LinearSolver) -> None:
         self.body = body
         self.solver = solver
-        d = body.mesh.dimension
+        X, d = body.mesh.points, body.mesh.dimension
         self.A = np.empty((body.pattern.blocks, d, d))
-        self.f = np.empty_like(body.mesh.points)
+        self.f, self.b = np.empty_like(X), np.empty_like(X)
+        self._free = np.empty((2, len(body.free), d))
+        self._rows = np.empty((2, *X.shape))
+        self._place = np.argsort(body.order)
 
     def linearise(self, x: Floats, h: float, R: Floats | None = None, kind: Tangent = "frozen") -> Work:
         """Take A and f_el at positions x (n, d) for the solves to come."""
@@ -72,28 +77,41 @@ class StageSystem:
     def take(self, x: Floats) -> Work:
         """Take A as it stands, made at positions x (n, d)."""
         body = self.body
-        return self.solver.update(self.A[: body.free_pattern.blocks], lambda: body.nodal_rotations(x)[body.free])
 
-    def solve(self, b: Floats, held: Floats, guess: Floats) -> tuple[Floats, Work]:
-        """Return w (n, d) with A w = b on the free nodes and w = held (k, d) on the others; b may change."""
+        def frames(out: Floats) -> None:
+            np.take(body.nodal_rotations(x, self._turned), body.free, axis=0, out=out, mode="clip")
+
+        return self.solver.update(self.A[: body.free_pattern.blocks], frames)
+
+    @cached_property
+    def _turned(self) -> Floats:
+        """Return room for the nodes' rotations, which few solvers ask for."""
+        d = self.body.mesh.dimension
+        return np.empty((len(self.body.mesh.points), d, d))
+
+    def solve(self, held: Floats, w: Floats) -> Work:
+        """Make A w = b on the free nodes and w = held (k, d) on the others; w (n, d) is the guess before, b is spent."""
         body = self.body
-        w = np.zeros_like(b)
+        if not body.supports.nodes.size:
+            return self.solver.solve(self.b, w)
+        b, free = self._free
+        np.take(w, body.free, axis=0, out=free, mode="clip")
         if held.any():
+            w[body.free] = 0.0
             w[body.supports.nodes] = held
-            b -= self._product(w)
-        w[body.free], work = self.solver.solve(b[body.free], guess[body.free])
-        return w, work
+            self.b -= self.product(self.A, w)
+        np.take(self.b, body.free, axis=0, out=b, mode="clip")
+        work = self.solver.solve(b, free)
+        w[body.free] = free
+        w[body.supports.nodes] = held
+        return work
 
-    def _product(self, w: Floats) -> Floats:
-        """Return A w (n, d)."""
-        pattern, out = self.body.pattern, np.empty_like(w)
-        out[pattern.order] = pattern.product(self.A, w[pattern.order], np.empty_like(w))
-        return out
-
-
-def _held_velocity(stage: Stage, body: Body) -> Floats:
-    """Return the velocities (k, d) that the stage gives the held nodes."""
-    return (stage.held - stage.x_h[body.supports.nodes]) / stage.h
+    def product(self, values: Floats, w: Floats) -> Floats:
+        """Return the product (n, d) of a matrix of the body's pattern with w (n, d); the next call overwrites it."""
+        first, second = self._rows
+        np.take(w, self.body.order, axis=0, out=first, mode="clip")
+        self.body.pattern.product(values, first, second)
+        return np.take(second, self._place, axis=0, out=first, mode="clip")
 
 
 class Prefactored:
@@ -102,28 +120,26 @@ class Prefactored:
     def __init__(self, body: Body, solver: LinearSolver, h: float) -> None:
         self.body = body
         self.system = StageSystem(body, solver)
-        self._order = body.pattern.order
-        self._u, self._Ku = np.empty_like(body.mesh.points), np.empty_like(body.mesh.points)
-        _, self.K = body.linearise(body.mesh.points)
-        self.system.A[:] = body.mass + h**2 * self.K
+        self._u, self._impulse = np.empty_like(body.mesh.points), h * body.load
+        self._held = np.empty((len(body.supports.nodes), body.mesh.dimension))
+        # the solves to come ask for h K only
+        _, self._hK = body.linearise(body.mesh.points)
+        self._hK *= h
+        self.system.A[:] = body.mass + h * self._hK
         self.setup = self.system.take(body.mesh.points)
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v of the one linear system; the linearisation at x_h is exact."""
-        body = self.body
-        b = body.momentum(stage.v_h)
-        b += stage.h * (body.load + self._force(stage.x_h))
-        v, work = self.system.solve(b, _held_velocity(stage, body), stage.v_h)
+        body, b = self.body, self.system.b
+        body.momentum(stage.v_h, b)
+        b += self._impulse
+        # f_el = -K (x_h - X): the same sum as body.force(x_h), without visiting a cell
+        b -= self.system.product(self._hK, np.subtract(stage.x_h, body.mesh.points, out=self._u))
+        v = stage.v_h.copy()
+        work = self.system.solve(held_velocity(stage, stage.x_h, body, self._held), v)
         work += Work(iterations=1) + self.setup
         self.setup = Work()
         return v, work
-
-    def _force(self, x: Floats) -> Floats:
-        """Return f_el = -K (x - X) (n, d): the same sum as body.force(x), without visiting a cell."""
-        np.subtract(x[self._order], self.body.mesh.points[self._order], out=self._u)
-        f = np.empty_like(x)
-        f[self._order] = self.body.pattern.product(self.K, self._u, self._Ku)
-        return np.negative(f, out=f)
 
 
 class FrozenPasses:
@@ -133,27 +149,44 @@ class FrozenPasses:
         self.body = body
         self.system = StageSystem(body, solver)
         self.passes = passes
+        self._x, self._reached = np.empty_like(body.mesh.points), np.empty_like(body.mesh.points)
+        self._held = np.empty((len(body.supports.nodes), body.mesh.dimension))
         body.rehearse()
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v after the last pass."""
-        v, work = self.pass_from(stage.start, stage, stage.R)
+        v = np.empty_like(stage.v_h)
+        work = self.pass_from(stage.start, stage, v, stage.R)
         for _ in range(self.passes - 1):
-            v, done = self.pass_from(stage.x_h + stage.h * v, stage)
-            work += done
+            np.multiply(v, stage.h, out=self._x)
+            self._x += stage.x_h
+            work += self.pass_from(self._x, stage, v)
         return v, work
 
-    def pass_from(self, x: Floats, stage: Stage, R: Floats | None = None) -> tuple[Floats, Work]:
-        """Return v of the system linearised at x (n, d), with the law's rotations there or with R."""
+    def pass_from(self, x: Floats, stage: Stage, v: Floats, R: Floats | None = None) -> Work:
+        """Write into v the solution linearised at x (n, d), with the law's rotations there or with R."""
         body, h, system = self.body, stage.h, self.system
         work = system.linearise(x, h, R)
-        held, away = _held_velocity(stage, body), stage.v_h
-        if x is not stage.x_h:
-            reached = (x - stage.x_h) / h
-            held = held - reached[body.supports.nodes]
-            away = stage.v_h - reached
-        b = body.momentum(away)
-        b += h * (body.load + system.f)
-        w, solved = system.solve(b, held, away)
-        v = w if x is stage.x_h else reached + w
-        return v, work + solved + Work(iterations=1, rotations=1)
+        held = held_velocity(stage, x, body, self._held)
+        np.copyto(v, stage.v_h)
+        ahead = x is not stage.x_h
+        if ahead:
+            np.subtract(x, stage.x_h, out=self._reached)
+            self._reached /= h
+            v -= self._reached
+        b = body.momentum(v, system.b)
+        system.f += body.load
+        system.f *= h
+        b += system.f
+        work += system.solve(held, v) + Work(iterations=1, rotations=1)
+        if ahead:
+            v += self._reached
+        return work
+
+
+def held_velocity(stage: Stage, x: Floats, body: Body, out: Floats) -> Floats:
+    """Write into out (k, d) with what velocities the held nodes get from x (n, d) to where the stage has them."""
+    np.take(x, body.supports.nodes, axis=0, out=out, mode="clip")
+    np.subtract(stage.held, out, out=out)
+    out /= stage.h
+    return out

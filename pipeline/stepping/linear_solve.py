@@ -35,21 +35,22 @@ _SOFT = 20.0
 
 # gives the values (blocks, d, d) of the system at rest; None where the system is always that
 Rest = Callable[[], Floats] | None
-Frames = Callable[[], Floats]
+# writes the nodes' rotations (n, d, d)
+Frames = Callable[[Floats], object]
 
 
 class LinearSolver(Protocol):
     """A solver prepared for one pattern; it holds the last matrix that `update` gave it."""
 
     def update(self, values: Floats, frames: Frames) -> Work:
-        """Take the matrix with these values (blocks, d, d) and the nodes' rotations (n, d, d) where it is of use.
+        """Take the matrix with these values (blocks, d, d) and the nodes' rotations where they are of use.
 
         Raises SolveError where the matrix is singular.
         """
         ...
 
-    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
-        """Return x (n, d) with A x = b (n, d); iterative solvers start at guess."""
+    def solve(self, b: Floats, x: Floats) -> Work:
+        """Make A x = b (n, d); iterative solvers start at the x that they get."""
         ...
 
 
@@ -74,9 +75,10 @@ class SuperLU:
             raise SolveError(f"the system's matrix is singular ({error})") from error
         return Work(factorisations=1)
 
-    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
-        """Return the solution by substitution; the guess is not used."""
-        return self._factor.solve(b.ravel()).reshape(b.shape), Work(solves=1)
+    def solve(self, b: Floats, x: Floats) -> Work:
+        """Write the solution by substitution into x."""
+        x[:] = self._factor.solve(b.ravel()).reshape(b.shape)
+        return Work(solves=1)
 
 
 def choice(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[str, str]:

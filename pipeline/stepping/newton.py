@@ -151,9 +151,9 @@ class Converged:
     def _solved(self, x: Floats, r: Floats, kind: Tangent, stage: Stage) -> tuple[Floats, Work]:
         """Return dx (n, d) with (M/h^2 + K) dx = r on the free nodes."""
         work = self.system.linearise(x, stage.h, kind=kind)
-        still = np.zeros_like(r)
-        dx, solved = self.system.solve(stage.h**2 * r, still[self.body.supports.nodes], still)
-        return dx, work + solved
+        dx = np.zeros_like(r)
+        np.multiply(r, stage.h**2, out=self.system.b)
+        return dx, work + self.system.solve(dx[self.body.supports.nodes], dx)
 
     def _search(self, x: Floats, dx: Floats, phi: float, slope: float, stage: Stage) -> tuple[Floats, float, bool]:
         """Return x + s dx with the first s of 1, 1/2, … that lowers phi enough, its phi, and whether there was one."""

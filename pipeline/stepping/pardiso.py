@@ -52,9 +52,8 @@ class Factor:
         self._call(self._phase, None, None)
         self._phase = _FACTOR
 
-    def solve(self, b: np.ndarray) -> np.ndarray:
-        """Return x with A x = b, both flat and in the factor's precision."""
-        x = np.empty_like(b)
+    def solve(self, b: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Write x with A x = b, both contiguous and in the factor's precision, and return it."""
         self._call(_SOLVE, b, x)
         return x
 
@@ -122,6 +121,7 @@ class Pardiso:
         self._factor.update(values)
         return Work(factorisations=1)
 
-    def solve(self, b: Floats, guess: Floats) -> tuple[Floats, Work]:
-        """Return the solution by substitution; the guess is not used."""
-        return self._factor.solve(b.ravel()).reshape(b.shape), Work(solves=1)
+    def solve(self, b: Floats, x: Floats) -> Work:
+        """Write the solution by substitution into x (n, d)."""
+        self._factor.solve(np.ascontiguousarray(b), x)
+        return Work(solves=1)

@@ -20,7 +20,7 @@ from pipeline.stepping.inversion import Treatment, tracked_rotations
 from pipeline.stepping.state import State, Work
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class SymplecticEuler:
     """A stepper; it does not look at its own limit, methods.py does."""
 
@@ -28,16 +28,22 @@ class SymplecticEuler:
     dt: float
     treatment: Treatment | None = None
 
+    def __post_init__(self) -> None:
+        self._dt_over_mass = (self.dt / self.body.lumped_mass)[:, None]
+
     def step(self, state: State) -> tuple[State, Work]:
         """Return the state dt later."""
         body = self.body
         held = body.supports.nodes
         R, memory = tracked_rotations(self.treatment, body, state.x, state)
-        f = body.force(state.x, R)
-        v = state.v + (self.dt / body.lumped_mass)[:, None] * (f + body.load)
-        where = body.supports.positions(body.mesh.points, (state.step + 1) * self.dt)
+        v = body.force(state.x, R)
+        v += body.load
+        v *= self._dt_over_mass
+        v += state.v
+        where = body.held_positions((state.step + 1) * self.dt)
         v[held] = (where - state.x[held]) / self.dt
-        x = state.x + self.dt * v
+        x = np.multiply(v, self.dt)
+        x += state.x
         x[held] = where
         return State(state.step + 1, x, v, memory), Work(steps=1, rotations=int(not body.law.constant_tangent))
 

@@ -31,7 +31,10 @@ _LARGE_BAND = 60.0
 
 @dataclass(frozen=True, eq=False)
 class RestFactor:
-    """Solves A_0 y = b in single precision, for flat vectors whose nodes stand in `order`; b may be overwritten."""
+    """Solves A_0 y = b in single precision, for flat vectors whose nodes stand in `order`.
+
+    b may be overwritten; y is another's until the next call.
+    """
 
     name: str
     order: np.ndarray
@@ -62,7 +65,8 @@ def _banded(pattern: BlockPattern, values: Floats) -> RestFactor:
 def _by_mkl(pattern: BlockPattern, values: Floats) -> RestFactor:
     factor = pardiso.Factor(pattern, np.float32)
     factor.update(values)
-    return RestFactor("mkl", np.arange(pattern.nodes), factor.solve)
+    y = np.empty(factor.size, dtype=np.float32)
+    return RestFactor("mkl", np.arange(pattern.nodes), lambda b: factor.solve(b, y))
 
 
 def _by_cholmod(pattern: BlockPattern, values: Floats) -> RestFactor:
@@ -70,11 +74,11 @@ def _by_cholmod(pattern: BlockPattern, values: Floats) -> RestFactor:
 
     matrix = pattern.matrix(values).tocoo()
     made = CholeskySolverF(matrix.shape[0], matrix.row, matrix.col, matrix.data, MatrixType.COO)
+    y = np.empty(matrix.shape[0], dtype=np.float32)
 
     def solve(b: Singles) -> Singles:
-        x = np.empty_like(b)
-        made.solve(b, x)
-        return x
+        made.solve(b, y)
+        return y
 
     return RestFactor("cholmod", np.arange(pattern.nodes), solve)
 
@@ -98,15 +102,15 @@ class TurnedFactor:
         self._setup = Work(factorisations=1)
         n, d = pattern.nodes, pattern.dimension
         self._y = np.zeros(n * d, dtype=np.float32)
+        self._Q = np.zeros((n, d, d))
         if self.factor is not None:  # kernels are compiled, or loaded, here and not in a timed step
-            self._Q = np.zeros((n, d, d))
             self.apply(np.zeros((n, d)), 0.0, np.zeros((n, d)), np.zeros((n, d)))
 
     def update(self, values: Floats, frames: Frames) -> Work:
-        """Take the nodal rotations (n, d, d) of the matrix' state."""
+        """Take the nodal rotations of the matrix' state."""
         if self.factor is None:
             self.factor = rest_factor(self.pattern, values)
-        self._Q = frames()
+        frames(self._Q)
         work, self._setup = self._setup, Work()
         return work
 
