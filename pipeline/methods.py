@@ -20,7 +20,7 @@ from pipeline.stepping.backward_euler import BackwardEuler
 from pipeline.stepping.banded import BandedCholesky
 from pipeline.stepping.bdf2 import BDF2
 from pipeline.stepping.conjugate_gradients import block_jacobi_cg
-from pipeline.stepping.fidelity import Auto
+from pipeline.stepping.fidelity import COROTATIONAL, Auto
 from pipeline.stepping.guard import Guarded
 from pipeline.stepping.implicit import FrozenPasses, Prefactored, StageSolver
 from pipeline.stepping.inversion import Crossing, Last, Treatment
@@ -133,7 +133,9 @@ def _treatment(method: MethodSpec) -> Treatment | None:
 
 def _guarded(stepper: Stepper, body: Body, method: MethodSpec) -> Stepper:
     """Return the stepper, watched unless its energy is bounded by construction."""
-    bounded = body.law.constant_tangent or (method.model != "auto" and method.iterations == "converged")
+    if method.model == "auto":
+        return Guarded(body, stepper, from_rung=COROTATIONAL)
+    bounded = body.law.constant_tangent or method.iterations == "converged"
     return stepper if bounded else Guarded(body, stepper)
 
 

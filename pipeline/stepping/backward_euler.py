@@ -28,7 +28,7 @@ class BackwardEuler:
         """Return the state dt later."""
         held = self.body.held_positions((state.step + 1) * self.dt)
         R, memory = tracked_rotations(self.treatment, self.body, state.x, state)
-        v, work = self.stage_solver.solve(Stage(state.x, state.v, self.dt, state.x, held, R))
+        v, work = self.stage_solver.solve(Stage(state.x, state.v, self.dt, state.x, state.x, held, R))
         x = np.multiply(v, self.dt)
         x += state.x
         x[self.body.supports.nodes] = held

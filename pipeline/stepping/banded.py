@@ -86,7 +86,7 @@ class BandedCholesky:
 
     def solve(self, b: Floats, x: Floats) -> Work:
         """Write the solution by substitution into x (n, d)."""
-        np.take(b, self._band.order, axis=0, out=self._y, mode="clip")
+        b.take(self._band.order, 0, self._y, "clip")
         dpbtrs(self._factor, self._y.reshape(-1), lower=1, overwrite_b=1)
-        np.take(self._y, self._band.place, axis=0, out=x, mode="clip")
+        self._y.take(self._band.place, 0, x, "clip")
         return Work(solves=1)

@@ -66,10 +66,12 @@ class Auto:
 
     def _first(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v of the first solve and its work."""
-        if self._is_near_rest(stage.start):
+        if self._is_near_rest(stage.now):
             self._from_rest = True
             v, work = self.linear.solve(stage)
             return v, work + Work(rotations=1)
+        if stage.start is not stage.now:
+            self.body.turn(stage.start, self._reached)
         v = np.empty_like(stage.v_h)
         return v, self._pass(stage, v)
 
@@ -83,6 +85,8 @@ class Auto:
         """Return how far the stage's end has turned from the rotations used; a bound will do where it is low enough."""
         np.multiply(v, stage.h, out=self._x)
         self._x += stage.x_h
+        if self.body.supports.motions:  # where they are to the last bit
+            self._x[self.body.supports.nodes] = stage.held
         bound = self.body.turning_bound(self._x) if self._from_rest else np.inf
         if bound <= self.tolerance:
             self._turned = Turning(bound, bound)

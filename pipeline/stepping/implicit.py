@@ -31,13 +31,15 @@ from pipeline.stepping.state import Work
 class Stage:
     """The equation above: x_h, v_h (n, d), h [s], x* = `start` (n, d), and the held nodes' positions `held` (k, d).
 
-    R (e, d, d) are the rotations at x*, where something else than the law has chosen them.
+    `now` (n, d) are the positions that the step starts from. R (e, d, d) are the rotations at x*, where something else
+    than the law has chosen them.
     """
 
     x_h: Floats
     v_h: Floats
     h: float
     start: Floats
+    now: Floats
     held: Floats
     R: Floats | None = None
 
@@ -79,7 +81,7 @@ class StageSystem:
         body = self.body
 
         def frames(out: Floats) -> None:
-            np.take(body.nodal_rotations(x, self._turned), body.free, axis=0, out=out, mode="clip")
+            body.nodal_rotations(x, self._turned).take(body.free, 0, out, "clip")
 
         return self.solver.update(self.A[: body.free_pattern.blocks], frames)
 
@@ -95,12 +97,12 @@ class StageSystem:
         if not body.supports.nodes.size:
             return self.solver.solve(self.b, w)
         b, free = self._free
-        np.take(w, body.free, axis=0, out=free, mode="clip")
+        w.take(body.free, 0, free, "clip")
         if held.any():
             w[body.free] = 0.0
             w[body.supports.nodes] = held
             self.b -= self.product(self.A, w)
-        np.take(self.b, body.free, axis=0, out=b, mode="clip")
+        self.b.take(body.free, 0, b, "clip")
         work = self.solver.solve(b, free)
         w[body.free] = free
         w[body.supports.nodes] = held
@@ -109,9 +111,9 @@ class StageSystem:
     def product(self, values: Floats, w: Floats) -> Floats:
         """Return the product (n, d) of a matrix of the body's pattern with w (n, d); the next call overwrites it."""
         first, second = self._rows
-        np.take(w, self.body.order, axis=0, out=first, mode="clip")
+        w.take(self.body.order, 0, first, "clip")
         self.body.pattern.product(values, first, second)
-        return np.take(second, self._place, axis=0, out=first, mode="clip")
+        return second.take(self._place, 0, first, "clip")
 
 
 class Prefactored:
@@ -126,7 +128,7 @@ class Prefactored:
         _, self._hK = body.linearise(body.mesh.points)
         self._hK *= h
         self.system.A[:] = body.mass + h * self._hK
-        self.setup = self.system.take(body.mesh.points)
+        self._setup: Work | None = self.system.take(body.mesh.points)
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v of the one linear system; the linearisation at x_h is exact."""
@@ -137,8 +139,9 @@ class Prefactored:
         b -= self.system.product(self._hK, np.subtract(stage.x_h, body.mesh.points, out=self._u))
         v = stage.v_h.copy()
         work = self.system.solve(held_velocity(stage, stage.x_h, body, self._held), v)
-        work += Work(iterations=1) + self.setup
-        self.setup = Work()
+        work += Work(iterations=1)
+        if self._setup is not None:
+            work, self._setup = work + self._setup, None
         return v, work
 
 
@@ -186,7 +189,7 @@ class FrozenPasses:
 
 def held_velocity(stage: Stage, x: Floats, body: Body, out: Floats) -> Floats:
     """Write into out (k, d) with what velocities the held nodes get from x (n, d) to where the stage has them."""
-    np.take(x, body.supports.nodes, axis=0, out=out, mode="clip")
+    x.take(body.supports.nodes, 0, out, "clip")
     np.subtract(stage.held, out, out=out)
     out /= stage.h
     return out

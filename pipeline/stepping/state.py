@@ -55,8 +55,8 @@ class Work:
             self.linear_iterations + other.linear_iterations,
             self.rotations + other.rotations,
             self.seconds + other.seconds,
-            max(self.rung, other.rung),
-            max(self.indicator, other.indicator),
+            self.rung if self.rung >= other.rung else other.rung,
+            self.indicator if self.indicator >= other.indicator else other.indicator,
             self.history + other.history,
         )
 
