@@ -16,9 +16,9 @@ MATERIAL = Material(1e6, 0.3, 1000.0)
 NOWHERE = Supports(np.zeros(0, dtype=np.int64))
 
 
-@pytest.fixture
-def bodies() -> tuple[Body, Body]:
-    mesh = box([1.0, 2.0, 1.5], [2, 3, 2])
+@pytest.fixture(params=[2, 3], ids=["triangles", "tetrahedra"])
+def bodies(request) -> tuple[Body, Body]:
+    mesh = box([1.0, 2.0, 1.5], [2, 3, 2]) if request.param == 3 else rectangle([1.0, 2.0], [4, 7])
     arguments = (mesh, Corotational(MATERIAL), NOWHERE, np.zeros_like(mesh.points), consistent_mass_pairs)
     return Body(*arguments), CompiledBody(*arguments)
 
@@ -27,7 +27,8 @@ def bodies() -> tuple[Body, Body]:
 def test_forces_stiffness_and_energy_are_those_of_the_plain_body(bodies: tuple[Body, Body], shake: float) -> None:
     plain, compiled = bodies
     rng = np.random.default_rng(1)
-    x = plain.mesh.points @ polar(rng.normal(size=(1, 3, 3)))[0] + shake * rng.normal(size=plain.mesh.points.shape)
+    d = plain.mesh.dimension
+    x = plain.mesh.points @ polar(rng.normal(size=(1, d, d)))[0] + shake * rng.normal(size=plain.mesh.points.shape)
     assert compiled.energy(x) == pytest.approx(plain.energy(x), rel=1e-11, abs=1e-9 * 1e6 * 3)
     f, K = plain.linearise(x)
     # of the largest force or stiffness that this motion makes, and of what a strain of one makes
@@ -62,7 +63,6 @@ def test_rotations_are_those_of_the_singular_value_decomposition(spread: float) 
 def test_what_has_no_kernel_runs_on_numpy(law: Linear | Corotational) -> None:
     mesh = box([1.0, 1.0, 1.0], [1, 1, 1])
     assert type(make_body(mesh, law, NOWHERE, mesh.points, consistent_mass_pairs)) is Body
-    plane = rectangle([1.0, 1.0], [1, 1])
     corotational = Corotational(MATERIAL)
-    assert type(make_body(plane, corotational, NOWHERE, plane.points, consistent_mass_pairs)) is Body
-    assert type(make_body(mesh, corotational, NOWHERE, mesh.points, consistent_mass_pairs)) is CompiledBody
+    for one in (mesh, rectangle([1.0, 1.0], [1, 1])):
+        assert type(make_body(one, corotational, NOWHERE, one.points, consistent_mass_pairs)) is CompiledBody

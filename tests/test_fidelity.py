@@ -16,7 +16,7 @@ from pipeline.fem.body import Body
 from pipeline.fem.supports import rotation_about
 from pipeline.fem.turning import spurious_volume
 from pipeline.frame import Frame
-from pipeline.mesh.shapes import box
+from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import signed_volumes
 from pipeline.series import read_series
 from pipeline.series.engine import lazy_dataset
@@ -50,12 +50,15 @@ def test_spurious_volume_is_the_square_of_the_tangent_of_the_angle(d: int) -> No
 
 @pytest.mark.parametrize("shake", [1e-4, 1e-2, 0.3])
 @pytest.mark.parametrize("turn", [0.0, 1e-3, 0.1, 2.0])
-def test_the_compiled_turning_is_the_plain_one_and_its_bound_holds(shake: float, turn: float) -> None:
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_compiled_turning_is_the_plain_one_and_its_bound_holds(d: int, shake: float, turn: float) -> None:
     rng = np.random.default_rng(5)
-    compiled = solid(box([1.0, 2.0, 1.5], [2, 3, 2]), "corotational", held=[0, 1])
+    mesh = box([1.0, 2.0, 1.5], [2, 3, 2]) if d == 3 else rectangle([1.0, 2.0], [3, 5])
+    compiled = solid(mesh, "corotational", held=[0, 1])
     plain = Body(compiled.mesh, compiled.law, compiled.supports, compiled.load, compiled.mass_pairs)
     X = compiled.mesh.points
-    x = X @ rotation_about(np.array([1.0, 2.0, -1.0]), turn).T + shake * rng.normal(size=X.shape)
+    axis = np.array([1.0, 2.0, -1.0] if d == 3 else [0.0, 0.0, 1.0])
+    x = X @ rotation_about(axis, turn)[:d, :d].T + shake * rng.normal(size=X.shape)
     R, S, T = np.empty((3, *plain.rotations(x).shape))
     for used in (None, plain.rotations(X + 0.05 * rng.normal(size=X.shape))):
         ours, expected = compiled.turning(x, used, R), plain.turning(x, used, S)

@@ -1,4 +1,4 @@
-"""A body whose sums over cells are compiled, for what is solved most: tetrahedra, corotational, polar."""
+"""A body whose sums over cells are compiled, for what is solved most: the corotational law with polar rotations."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,16 +20,35 @@ def make_body(
     mesh: Mesh, law: Law, supports: Supports, load: Floats, mass_pairs: Callable[[Mesh, float], Floats]
 ) -> Body:
     """Return a body, a compiled one where there are kernels for its law and cells."""
-    compiled = mesh.dimension == 3 and isinstance(law, Corotational) and law.rotation is polar
+    compiled = isinstance(law, Corotational) and law.rotation is polar
     return (CompiledBody if compiled else Body)(mesh, law, supports, load, mass_pairs)
-
-
-_NO_ROTATIONS = np.empty((0, 3, 3))
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledBody(Body):
-    """The same numbers as Body, to rounding, from kernels.py."""
+    """The same numbers as Body, to rounding, from kernels.py and, in the plane, plane_kernels.py."""
+
+    @cached_property
+    def _kernels(self) -> Any:
+        from pipeline.fem import kernels, plane_kernels
+
+        return kernels if self.mesh.dimension == 3 else plane_kernels
+
+    @cached_property
+    def _turning_kernels(self) -> Any:
+        from pipeline.fem import plane_kernels, turning_kernels
+
+        return turning_kernels if self.mesh.dimension == 3 else plane_kernels
+
+    @cached_property
+    def _tangent_kernels(self) -> Any:
+        from pipeline.fem import plane_kernels, tangent_kernels
+
+        return tangent_kernels if self.mesh.dimension == 3 else plane_kernels
+
+    @cached_property
+    def _no_rotations(self) -> Floats:
+        return np.empty((0, self.mesh.dimension, self.mesh.dimension))
 
     @cached_property
     def _cells(self) -> tuple[Any, ...]:
@@ -48,88 +67,66 @@ class CompiledBody(Body):
 
     def rehearse(self) -> None:
         """Call the kernels of an implicit step on no cells: they are compiled, or loaded, here."""
-        from pipeline.fem import kernels
-
         cells, G, V, mu, lam = self._cells
-        X, none = _plain(self.mesh.points), (cells[:0], G[:0], V[:0])
-        kernels.energy(X, *none, mu, lam)
-        kernels.nodal_rotations(X, *none, np.empty((0, 3, 3)))
-        kernels.linearise(
-            X, *none, mu, lam, self._pairs[:0], 1.0, False, _NO_ROTATIONS, np.empty_like(X), np.empty((0, 3, 3))
-        )
+        X, none, nothing = _plain(self.mesh.points), (cells[:0], G[:0], V[:0], mu, lam), self._no_rotations
+        self._kernels.energy(X, *none)
+        self._kernels.nodal_rotations(X, *none[:3], nothing)
+        self._kernels.linearise(X, *none, self._pairs[:0], 1.0, False, nothing, np.empty_like(X), nothing)
 
     def energy(self, x: Floats) -> float:
-        """Return the elastic energy [J] at positions x (n, 3)."""
-        from pipeline.fem import kernels
-
-        return float(kernels.energy(_plain(x), *self._cells))
+        """Return the elastic energy [J] at positions x (n, d)."""
+        return float(self._kernels.energy(_plain(x), *self._cells))
 
     def rotations(self, x: Floats) -> Floats:
-        """Return the polar rotation of every cell (e, 3, 3)."""
-        from pipeline.fem import kernels
-
-        R = np.empty((len(self.mesh.cells), 3, 3))
-        kernels.rotations(_plain(x), *self._cells[:2], R)
+        """Return the polar rotation of every cell (e, d, d)."""
+        R = np.empty((len(self.mesh.cells), *self._no_rotations.shape[1:]))
+        self.turn(x, R)
         return R
 
     def nodal_rotations(self, x: Floats, out: Floats | None = None) -> Floats:
-        """Return the polar rotation of each node's mean gradient (n, 3, 3), in `out` where that is given."""
-        from pipeline.fem import kernels
-
-        R = np.empty((len(x), 3, 3)) if out is None else out
-        kernels.nodal_rotations(_plain(x), *self._cells[:3], R)
+        """Return the polar rotation of each node's mean gradient (n, d, d), in `out` where that is given."""
+        R = np.empty((len(x), *self._no_rotations.shape[1:])) if out is None else out
+        self._kernels.nodal_rotations(_plain(x), *self._cells[:3], R)
         return R
 
     def turn(self, x: Floats, R: Floats) -> float:
-        """Write the polar rotations into R (e, 3, 3); return the spurious volume of the most turned one."""
-        from pipeline.fem import kernels
-
-        return spurious_volume(kernels.rotations(_plain(x), *self._cells[:2], R), 3)
+        """Write the polar rotations into R (e, d, d); return the spurious volume of the most turned one."""
+        return spurious_volume(self._kernels.rotations(_plain(x), *self._cells[:2], R), x.shape[1])
 
     def turning(self, x: Floats, used: Floats | None, reached: Floats) -> Turning:
-        """Write the rotations at x into reached (e, 3, 3); return how far they are from those used, None for I."""
-        from pipeline.fem import turning_kernels
-
+        """Write the rotations at x into reached (e, d, d); return how far they are from those used, None for I."""
         cells, G, _, mu, lam = self._cells
-        before = _NO_ROTATIONS if used is None else used
-        trace, stress, own = turning_kernels.turning(_plain(x), cells, G, mu, lam, before, reached)
-        return Turning(indicator(trace, 3, stress, self.material), spurious_volume(own, 3))
+        before, d = self._no_rotations if used is None else used, x.shape[1]
+        trace, stress, own = self._turning_kernels.turning(_plain(x), cells, G, mu, lam, before, reached)
+        return Turning(indicator(trace, d, stress, self.material), spurious_volume(own, d))
 
     def turning_bound(self, x: Floats) -> float:
         """Return what the indicator of turning(x, None) does not exceed, without finding rotations."""
-        from pipeline.fem.turning_kernels import bounds
-
         cells, G, _, mu, lam = self._cells
-        tangent, stress = bounds(_plain(x), cells, G, mu, lam)
+        tangent, stress = self._turning_kernels.bounds(_plain(x), cells, G, mu, lam)
         cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, by that of its half
-        return indicator(1 + 2 * cosine, 3, stress, self.material)
+        return indicator(2 * cosine + x.shape[1] - 2, x.shape[1], stress, self.material)
 
     def force(self, x: Floats, R: Floats | None = None) -> Floats:
-        """Return the elastic forces ON the nodes (n, 3) [N]; with given rotations the plain way."""
+        """Return the elastic forces ON the nodes (n, d) [N]; with given rotations the plain way."""
         if R is not None:
             return super().force(x, R)
-        from pipeline.fem import kernels
-
         f = np.empty_like(x)
-        kernels.force(_plain(x), *self._cells, f)
+        self._kernels.force(_plain(x), *self._cells, f)
         return f
 
     def add_stiffness(
         self, x: Floats, scale: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
     ) -> None:
-        """Write the elastic forces into f (n, 3) and add scale * K to A (blocks, 3, 3)."""
+        """Write the elastic forces into f (n, d) and add scale * K to A (blocks, d, d)."""
         if kind != "frozen" and R is not None:
             super().add_stiffness(x, scale, f, A, R=R, kind=kind)
             return
-        from pipeline.fem import kernels
-
-        used = _NO_ROTATIONS if R is None else _plain(R)
-        kernels.linearise(_plain(x), *self._cells, self._pairs, scale, R is not None, used, f, A)
+        x, used = _plain(x), self._no_rotations if R is None else _plain(R)
+        self._kernels.linearise(x, *self._cells, self._pairs, scale, R is not None, used, f, A)
         if kind != "frozen":
-            from pipeline.fem import tangent_kernels
-
             projected = kind == "projected"
-            tangent_kernels.add_turning(_plain(x), *self._cells, self._pairs, scale, CREASE, projected, A)
+            self._tangent_kernels.add_turning(x, *self._cells, self._pairs, scale, CREASE, projected, A)
 
 
 def _plain(x: Floats) -> Floats:
