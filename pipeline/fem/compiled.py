@@ -54,11 +54,16 @@ class CompiledBody(Body):
     def _cells(self) -> tuple[Any, ...]:
         """Return what every kernel takes after x: cells, gradients of all but their first corner, volumes, mu, lam.
 
-        The corners of a cell stand in the order of their rows, so that its blocks lie below the diagonal.
+        The corners of a cell stand in the order of their rows, so that its blocks lie below the diagonal. In space
+        the gradients come in blocks of LANES cells (blocks, 9, LANES), entries first; the last cell fills the last one.
         """
         m, corners = self.material, corners_by_row(self.mesh, self.order)
         cells = np.take_along_axis(self.mesh.cells, corners, axis=1)
         G = np.take_along_axis(self.mesh.shape_gradients, corners[:, 1:, None], axis=1)
+        if self.mesh.dimension == 3:
+            lanes = self._kernels.LANES
+            filled = np.minimum(np.arange(-(-len(cells) // lanes) * lanes), len(cells) - 1)
+            cells, G = cells[filled], G[filled].reshape(-1, lanes, 9).swapaxes(1, 2).copy()
         return (cells.astype(np.int32), G, self.mesh.rest_volumes, m.mu, m.lam)
 
     @cached_property

@@ -213,15 +213,20 @@ def polar_rotations(A, R):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _gradients(x, cells, G, first, count, F):
-    """Write F = sum_a (x_a - x_0) (x) grad N_a of `count` cells from `first` on into F (9, LANES)."""
-    for l in range(count):
-        e = first + l
+def _gradients(x, cells, G, first, D, F):
+    """Write F = sum_a (x_a - x_0) (x) grad N_a of LANES cells from `first` on into F (9, LANES).
+
+    G (9, LANES) are their gradients, entry 3 a + j that of corner a + 1; D (9, LANES) is scratch: the differences.
+    """
+    for l in range(LANES):
+        n0, n1, n2, n3 = cells[first + l, 0], cells[first + l, 1], cells[first + l, 2], cells[first + l, 3]
         for i in range(3):
-            x0 = x[cells[e, 0], i]
-            x1, x2, x3 = x[cells[e, 1], i] - x0, x[cells[e, 2], i] - x0, x[cells[e, 3], i] - x0
-            for j in range(3):
-                F[3 * i + j, l] = x1 * G[e, 0, j] + x2 * G[e, 1, j] + x3 * G[e, 2, j]
+            x0 = x[n0, i]
+            D[3 * i, l], D[3 * i + 1, l], D[3 * i + 2, l] = x[n1, i] - x0, x[n2, i] - x0, x[n3, i] - x0
+    for i in range(3):
+        for j in range(3):
+            for l in range(LANES):
+                F[3 * i + j, l] = D[3 * i, l] * G[j, l] + D[3 * i + 1, l] * G[3 + j, l] + D[3 * i + 2, l] * G[6 + j, l]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -253,9 +258,9 @@ def energy(x, cells, G, V, mu, lam):
     """Return sum V W(F) with the polar rotations."""
     F, R, P, W, root, good, C = _lanes()
     total = 0.0
-    for first in range(0, len(cells), LANES):
-        count = min(LANES, len(cells) - first)
-        _gradients(x, cells, G, first, count, F)
+    for first in range(0, len(V), LANES):
+        count = min(LANES, len(V) - first)
+        _gradients(x, cells, G[first // LANES], first, P, F)
         _polar(F, count, R, root, good, C)
         _stresses(F, R, mu, lam, P, W)
         for l in range(count):
@@ -265,12 +270,13 @@ def energy(x, cells, G, V, mu, lam):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _scatter_force(cell, G, volume, P, lane, f):
-    """Add -V P grad N_a to the forces of the cell's corners; they sum to zero."""
+    """Add -V P grad N_a to the forces of the cell's corners; they sum to zero. G (9, LANES)."""
     last0 = last1 = last2 = 0.0
     for a in range(3):
-        p0 = volume * (P[0, lane] * G[a, 0] + P[1, lane] * G[a, 1] + P[2, lane] * G[a, 2])
-        p1 = volume * (P[3, lane] * G[a, 0] + P[4, lane] * G[a, 1] + P[5, lane] * G[a, 2])
-        p2 = volume * (P[6, lane] * G[a, 0] + P[7, lane] * G[a, 1] + P[8, lane] * G[a, 2])
+        g0, g1, g2 = G[3 * a, lane], G[3 * a + 1, lane], G[3 * a + 2, lane]
+        p0 = volume * (P[0, lane] * g0 + P[1, lane] * g1 + P[2, lane] * g2)
+        p1 = volume * (P[3, lane] * g0 + P[4, lane] * g1 + P[5, lane] * g2)
+        p2 = volume * (P[6, lane] * g0 + P[7, lane] * g1 + P[8, lane] * g2)
         node = cell[a + 1]
         f[node, 0] -= p0
         f[node, 1] -= p1
@@ -286,13 +292,13 @@ def force(x, cells, G, V, mu, lam, f):
     """Write f_a = -sum V P grad N_a into f (n, 3), with the polar rotations."""
     f[:] = 0.0
     F, R, P, W, root, good, C = _lanes()
-    for first in range(0, len(cells), LANES):
-        count = min(LANES, len(cells) - first)
-        _gradients(x, cells, G, first, count, F)
+    for first in range(0, len(V), LANES):
+        count = min(LANES, len(V) - first)
+        _gradients(x, cells, G[first // LANES], first, P, F)
         _polar(F, count, R, root, good, C)
         _stresses(F, R, mu, lam, P, W)
         for l in range(count):
-            _scatter_force(cells[first + l], G[first + l], V[first + l], P, l, f)
+            _scatter_force(cells[first + l], G[first // LANES], V[first + l], P, l, f)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -301,7 +307,7 @@ def _scatter_stiffness(G, vm, vl, R, lane, blocks, g, A):
     for i in range(3):
         r0, r1, r2 = R[3 * i, lane], R[3 * i + 1, lane], R[3 * i + 2, lane]
         for a in range(3):
-            g[a + 1, i] = r0 * G[a, 0] + r1 * G[a, 1] + r2 * G[a, 2]
+            g[a + 1, i] = r0 * G[3 * a, lane] + r1 * G[3 * a + 1, lane] + r2 * G[3 * a + 2, lane]
         g[0, i] = -(g[1, i] + g[2, i] + g[3, i])
     k = 0
     for a in range(4):
@@ -332,9 +338,9 @@ def linearise(x, cells, G, V, mu, lam, pairs, scale, given, Rs, f, A):
     f[:] = 0.0
     F, R, P, W, root, good, C = _lanes()
     g = np.empty((4, 3))
-    for first in range(0, len(cells), LANES):
-        count = min(LANES, len(cells) - first)
-        _gradients(x, cells, G, first, count, F)
+    for first in range(0, len(V), LANES):
+        count = min(LANES, len(V) - first)
+        _gradients(x, cells, G[first // LANES], first, P, F)
         if given:
             _load(Rs, first, count, R)
         else:
@@ -342,8 +348,8 @@ def linearise(x, cells, G, V, mu, lam, pairs, scale, given, Rs, f, A):
         _stresses(F, R, mu, lam, P, W)
         for l in range(count):
             e = first + l
-            _scatter_force(cells[e], G[e], V[e], P, l, f)
-            _scatter_stiffness(G[e], scale * V[e] * mu, scale * V[e] * lam, R, l, pairs[e], g, A)
+            _scatter_force(cells[e], G[first // LANES], V[e], P, l, f)
+            _scatter_stiffness(G[first // LANES], scale * V[e] * mu, scale * V[e] * lam, R, l, pairs[e], g, A)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -351,9 +357,9 @@ def rotations(x, cells, G, R):
     """Write the polar rotation of every cell's F into R (e, 3, 3); return the least trace of them."""
     F, Q, _, _, root, good, C = _lanes()
     least = 3.0
-    for first in range(0, len(cells), LANES):
-        count = min(LANES, len(cells) - first)
-        _gradients(x, cells, G, first, count, F)
+    for first in range(0, len(R), LANES):
+        count = min(LANES, len(R) - first)
+        _gradients(x, cells, G[first // LANES], first, Q, F)
         _polar(F, count, Q, root, good, C)
         _store(Q, first, count, R)
         for l in range(count):
@@ -365,10 +371,10 @@ def rotations(x, cells, G, R):
 def nodal_rotations(x, cells, G, V, R):
     """Write into R (n, 3, 3) the polar rotation of each node's sum of V F."""
     R[:] = 0.0
-    F = np.zeros((9, LANES))
-    for first in range(0, len(cells), LANES):
-        count = min(LANES, len(cells) - first)
-        _gradients(x, cells, G, first, count, F)
+    F, D = np.zeros((9, LANES)), np.zeros((9, LANES))
+    for first in range(0, len(V), LANES):
+        count = min(LANES, len(V) - first)
+        _gradients(x, cells, G[first // LANES], first, D, F)
         for l in range(count):
             e = first + l
             for a in range(4):

@@ -27,7 +27,8 @@ def _stretch(F, R, lane, S):
 def _turned_gradients(G, R, lane, q0, q1, q2, w):
     """Write R (q x grad N_b) of the four corners into w (4, 3); they sum to zero."""
     for b in range(3):
-        t0, t1, t2 = q1 * G[b, 2] - q2 * G[b, 1], q2 * G[b, 0] - q0 * G[b, 2], q0 * G[b, 1] - q1 * G[b, 0]
+        g0, g1, g2 = G[3 * b, lane], G[3 * b + 1, lane], G[3 * b + 2, lane]
+        t0, t1, t2 = q1 * g2 - q2 * g1, q2 * g0 - q0 * g2, q0 * g1 - q1 * g0
         for i in range(3):
             w[b + 1, i] = R[3 * i, lane] * t0 + R[3 * i + 1, lane] * t1 + R[3 * i + 2, lane] * t2
     for i in range(3):
@@ -39,9 +40,9 @@ def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
     """Add scale times the term above to A (blocks, 3, 3); negative factors are left out if projected."""
     F, R, _, _, root, good, C = _lanes()
     S, Q, w = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3))
-    for first in range(0, len(cells), LANES):
-        count = min(LANES, len(cells) - first)
-        _gradients(x, cells, G, first, count, F)
+    for first in range(0, len(V), LANES):
+        count = min(LANES, len(V) - first)
+        _gradients(x, cells, G[first // LANES], first, R, F)
         _polar(F, count, R, root, good, C)
         for l in range(count):
             e = first + l
@@ -53,7 +54,7 @@ def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
                 factor = mu + c / max(trace - S[m, m], max(abs(c) / (crease * mu), 2.2250738585072014e-308))
                 if projected and factor <= 0.0:
                     continue
-                _turned_gradients(G[e], R, l, Q[0, m], Q[1, m], Q[2, m], w)
+                _turned_gradients(G[first // LANES], R, l, Q[0, m], Q[1, m], Q[2, m], w)
                 _add_square(scale * V[e] * factor, w, pairs[e], A)
 
 

@@ -20,9 +20,9 @@ def turning(x, cells, G, mu, lam, used, reached):
     U, Q = np.zeros((9, LANES)), np.zeros((9, LANES))
     U[0], U[4], U[8] = 1.0, 1.0, 1.0
     least, largest, own = 3.0, 0.0, 3.0
-    for first in range(0, len(cells), LANES):
-        count = min(LANES, len(cells) - first)
-        _gradients(x, cells, G, first, count, F)
+    for first in range(0, len(reached), LANES):
+        count = min(LANES, len(reached) - first)
+        _gradients(x, cells, G[first // LANES], first, P, F)
         _polar(F, count, R, root, good, C)
         if len(used) > 0:
             _load(used, first, count, U)
@@ -48,12 +48,10 @@ def bounds(x, cells, G, mu, lam):
 
         |P(F,R) - P(F,I)| <= 4 mu (sqrt2 t^2 + t h) + 2 lam (sqrt6 t h + sqrt3 t^2 (2 + sqrt2 h)).
     """
-    F = np.zeros((9, LANES))
-    for l in range(LANES):
-        F[0, l] = F[4, l] = F[8, l] = 1.0
+    F, D = np.zeros((9, LANES)), np.zeros((9, LANES))
     tangents, strains = np.zeros(LANES), np.zeros(LANES)
     for first in range(0, len(cells), LANES):
-        _gradients(x, cells, G, first, min(LANES, len(cells) - first), F)
+        _gradients(x, cells, G[first // LANES], first, D, F)
         for l in range(LANES):
             a0, a1, a2 = F[7, l] - F[5, l], F[2, l] - F[6, l], F[3, l] - F[1, l]
             axial = a0 * a0 + a1 * a1 + a2 * a2
