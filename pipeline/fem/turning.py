@@ -7,7 +7,7 @@ In a cell free of strain the second is about the first; in a strained one that t
 angle. The indicator is the larger of the two, in the worst cell.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from pipeline.mesh.simplex import Floats
 _WEIGHT = 4 / 3
 
 
-@dataclass(frozen=True, eq=False)
-class Turning:
+class Turning(NamedTuple):
     """The indicator of (used, reached), and the spurious volume of (I, reached): what the linear law would have."""
 
     indicator: float

@@ -34,6 +34,9 @@ class Auto:
     def __init__(
         self, body: Body, linear: Prefactored, passes: FrozenPasses, newton: Converged, tolerance: float
     ) -> None:
+        from pipeline.stepping.kernels import same
+
+        self._same = same
         self.body = body
         self.linear = linear
         self.passes = passes
@@ -68,8 +71,7 @@ class Auto:
         """Return v of the first solve and its work."""
         if self._is_near_rest(stage.now):
             self._from_rest = True
-            v, work = self.linear.solve(stage)
-            return v, work + Work(rotations=1)
+            return self.linear.solve(stage)
         if stage.start is not stage.now:
             self.body.turn(stage.start, self._reached)
         v = np.empty_like(stage.v_h)
@@ -96,9 +98,7 @@ class Auto:
 
     def _is_near_rest(self, x: Floats) -> bool:
         """Return whether cells at x are so little turned that the linear law will do; if not, find their rotations."""
-        from pipeline.stepping.kernels import same
-
-        if same(x, self._x):
+        if self._same(x, self._x):
             if self._from_rest:
                 return self._turned.indicator <= self.tolerance
             if self._turned.from_rest > self.tolerance:
