@@ -12,6 +12,7 @@ from pipeline.mesh.shapes import box
 from pipeline.methods import LINEAR_SOLVERS, linear_solvers
 from pipeline.stepping import linear_solve, pardiso, warped
 from pipeline.stepping.banded import Band, BandedCholesky
+from pipeline.stepping.kernels import invert_blocks
 from pipeline.stepping.pardiso import Pardiso
 from pipeline.stepping.symplectic_euler import true_limit
 from pipeline.stepping.warped import warped_cg
@@ -115,6 +116,16 @@ def test_an_indefinite_matrix_is_an_error(solver) -> None:
     with pytest.raises(SolveError, match="not positive definite"):
         made.update(bad, lambda Q: np.copyto(Q, np.eye(3)))
         made.solve(b, 0 * b)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_blocks_are_inverted(d: int) -> None:
+    A = np.random.default_rng(3).normal(size=(9, d, d))
+    D = np.empty((4, d, d))
+    assert invert_blocks(A, np.array([1, 8, 0, 3]), D)
+    np.testing.assert_allclose(D, np.linalg.inv(A[[1, 8, 0, 3]]), rtol=1e-10)
+    A[8] = 0.0
+    assert not invert_blocks(A, np.array([1, 8, 0, 3]), D)
 
 
 def test_a_band_holds_every_entry_once() -> None:

@@ -142,7 +142,10 @@ class Body:
         return turning(self.law, deformation_gradient(self.mesh, x), used, reached)
 
     def turning_bound(self, x: Floats) -> float:
-        """Return what the indicator of turning(x, None) does not exceed, without finding rotations; infinite: no idea."""
+        """Return what the indicator of turning(x, None) does not exceed, without finding rotations.
+
+        It is infinite where nothing can be said.
+        """
         return np.inf
 
     def linearise(self, x: Floats, R: Floats | None = None, kind: Tangent = "frozen") -> tuple[Floats, Floats]:

@@ -15,14 +15,14 @@ from pipeline.stepping.state import Work
 
 _LIMIT = 2000
 
-Frames = Callable[[], Floats]
+Frames = Callable[[Floats], object]  # writes the nodes' rotations (n, d, d)
 
 
 class Preconditioner(Protocol):
     """An approximate inverse of the last matrix that `update` gave it."""
 
     def update(self, values: Floats, frames: Frames) -> Work:
-        """Take the matrix with these values (blocks, d, d) and the nodes' rotations (n, d, d) where it is of use."""
+        """Take the matrix with these values (blocks, d, d) and the nodes' rotations where they are of use."""
         ...
 
     def apply(self, r: Floats, size: float, Ap: Floats, z: Floats) -> tuple[float, float]:
@@ -88,14 +88,18 @@ class BlockJacobi:
     """The inverses of the diagonal blocks."""
 
     def __init__(self, pattern: BlockPattern) -> None:
+        from pipeline.stepping.kernels import invert_blocks
+
+        d = pattern.dimension
+        self._invert = invert_blocks
         self._diagonal = pattern.diagonal
+        self._inverse = np.zeros((pattern.nodes, d, d))
+        invert_blocks(np.eye(d)[None], self._diagonal[:0], self._inverse[:0])  # compiled, or loaded, here
 
     def update(self, values: Floats, frames: Frames) -> Work:
         """Invert the diagonal blocks; raises SolveError where one is singular."""
-        try:
-            self._inverse = np.linalg.inv(values[self._diagonal])
-        except np.linalg.LinAlgError as error:
-            raise SolveError("a diagonal block of the system's matrix is singular") from error
+        if not self._invert(values, self._diagonal, self._inverse):
+            raise SolveError("a diagonal block of the system's matrix is singular")
         return Work()
 
     def apply(self, r: Floats, size: float, Ap: Floats, z: Floats) -> tuple[float, float]:

@@ -43,12 +43,13 @@ class Guarded:
         new, work = self.stepper.step(state)
         supplied = supports_work(self.body, state, new, self.dt) if self.body.supports.motions else 0.0
         if work.rung >= self._from_rung or supplied or guard[2]:
-            guard = self._judged(new, guard + [0.0, supplied, 0.0], watched=work.rung >= self._from_rung)
+            guard = self._judged(new, guard, supplied, watched=work.rung >= self._from_rung)
         return State(new.step, new.x, new.v, {**new.memory, "guard": guard}), work
 
-    def _judged(self, new: State, guard: Floats, *, watched: bool) -> Floats:
+    def _judged(self, new: State, guard: Floats, work_of_supports: float, *, watched: bool) -> Floats:
         """Return the guard's numbers after a step; raises SolveError at the third strike."""
         start, supplied, strikes = guard
+        supplied += work_of_supports
         if not watched:
             return np.array([start, supplied, 0.0])
         bound = max(start + supplied + self._from_loads(new), self._least)

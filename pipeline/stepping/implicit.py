@@ -92,7 +92,7 @@ class StageSystem:
         return np.empty((len(self.body.mesh.points), d, d))
 
     def solve(self, held: Floats, w: Floats) -> Work:
-        """Make A w = b on the free nodes and w = held (k, d) on the others; w (n, d) is the guess before, b is spent."""
+        """Make A w = b on the free nodes and w = held (k, d) on the others; w (n, d) is the guess, b is spent."""
         body = self.body
         if not body.supports.nodes.size:
             return self.solver.solve(self.b, w)

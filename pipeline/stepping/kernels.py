@@ -56,6 +56,29 @@ def descend(step, p, Ap, x, r):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def invert_blocks(A, taken, D):
+    """Write the inverses of A[taken], blocks of 2 x 2 or 3 x 3, into D; return whether all of them have one."""
+    for n in range(len(taken)):
+        B, C = A[taken[n]], D[n]
+        if A.shape[1] == 2:
+            C[0, 0], C[0, 1], C[1, 0], C[1, 1] = B[1, 1], -B[0, 1], -B[1, 0], B[0, 0]
+        else:
+            for i in range(3):
+                for j in range(3):  # C_ij is the cofactor of B_ji
+                    a, b, c, d = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
+                    C[i, j] = B[a, c] * B[b, d] - B[a, d] * B[b, c]
+        det = 0.0
+        for j in range(A.shape[1]):
+            det += B[0, j] * C[j, 0]
+        if det == 0.0:
+            return False
+        for i in range(A.shape[1]):
+            for j in range(A.shape[1]):
+                C[i, j] /= det
+    return True
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def by_blocks(D, r, Ap, z):
     """Write D_n r_n into z (n, d) for every node n; return z . r and z . A p."""
     d = r.shape[1]

@@ -37,18 +37,23 @@ class Factor:
 
     def __init__(self, pattern: BlockPattern, dtype: type) -> None:
         self.size = pattern.nodes * pattern.dimension
-        self._dtype = dtype
         self._take, self._indptr, self._indices = _upper(pattern)
         self._entries: np.ndarray = np.empty(len(self._take), dtype=dtype)
         self._handle = np.zeros(64, dtype=np.int64)
         self._options = np.zeros(64, dtype=np.int32)
         # own options: nested dissection, no refinement, single or double
         self._options[[0, 1, 27]] = 1, 2, int(dtype is np.float32)
+        # one, kind of matrix, phase, size, silence, error
+        self._numbers = np.array([1, _POSITIVE_DEFINITE, 0, self.size, 0, 0], dtype=np.int32)
         self._phase = _ANALYSE_AND_FACTOR
 
     def update(self, values: Floats) -> None:
         """Factor the matrix with these values (blocks, d, d); raises SolveError where there is no factor."""
-        self._entries[:] = values.reshape(-1)[self._take]
+        entries = values.reshape(-1)
+        if self._entries.dtype == values.dtype:
+            entries.take(self._take, 0, self._entries, "clip")
+        else:  # once a run
+            self._entries[:] = entries[self._take]
         self._call(self._phase, None, None)
         self._phase = _FACTOR
 
@@ -62,33 +67,23 @@ class Factor:
             self._call(_RELEASE, None, None)
 
     def _call(self, phase: int, b: np.ndarray | None, x: np.ndarray | None) -> None:
-        one, error = ctypes.c_int32(1), ctypes.c_int32(0)
+        self._numbers[2] = phase
+        one, kind, at, size, silent, error = (self._numbers.ctypes.data + 4 * i for i in range(6))
+        arrays = (self._handle, self._entries, self._indptr, self._indices, self._options, b, x)
+        handle, entries, indptr, indices, options, b_at, x_at = map(_address, arrays)
         library().pardiso(
-            _address(self._handle),
-            ctypes.byref(one),
-            ctypes.byref(one),
-            ctypes.byref(ctypes.c_int32(_POSITIVE_DEFINITE)),
-            ctypes.byref(ctypes.c_int32(phase)),
-            ctypes.byref(ctypes.c_int32(self.size)),
-            _address(self._entries),
-            _address(self._indptr),
-            _address(self._indices),
-            None,
-            ctypes.byref(one),
-            _address(self._options),
-            ctypes.byref(ctypes.c_int32(0)),
-            _address(b),
-            _address(x),
-            ctypes.byref(error),
+            *map(ctypes.c_void_p, (handle, one, one, kind, at, size, entries, indptr, indices, None, one)),
+            *map(ctypes.c_void_p, (options, silent, b_at, x_at, error)),
         )
-        if error.value == -4:
+        if self._numbers[5] == -4:
             raise SolveError("the system's matrix is not positive definite")
-        if error.value:
-            raise SolveError(f"MKL's Pardiso failed (error {error.value}); try another method.linear_solver")
+        if self._numbers[5]:
+            raise SolveError(f"MKL's Pardiso failed (error {self._numbers[5]}); try another method.linear_solver")
 
 
-def _address(array: np.ndarray | None) -> Any:
-    return None if array is None else array.ctypes.data_as(ctypes.c_void_p)
+def _address(array: np.ndarray | None) -> int | None:
+    """Return where an array lies; ctypes' own pointers would leave garbage behind in every call."""
+    return None if array is None else array.ctypes.data
 
 
 def _upper(pattern: BlockPattern) -> tuple[Ints, np.ndarray, np.ndarray]:
