@@ -118,8 +118,11 @@ def _quaternion_rotation(w, x, y, z, R, lane):
 @njit(cache=True, error_model="numpy", nogil=True)
 def jacobi(A, Q):
     """Turn the symmetric A (k, k) into its eigenvalues on the diagonal, and write its eigenvectors, columns, into Q."""
-    Q[:] = np.eye(len(A))
-    size = np.abs(A).max()
+    size = 0.0  # written out, as elsewhere: numpy's functions take the compiler seconds
+    for p in range(len(A)):
+        for q in range(len(A)):
+            Q[p, q] = 1.0 if p == q else 0.0
+            size = max(size, abs(A[p, q]))
     for _ in range(_SWEEPS):
         off = 0.0
         for p in range(len(A) - 1):
@@ -147,11 +150,15 @@ def _jacobi_rotation(F, R, lane):
     For the few N whose largest eigenvalue is all but double: any vector of its space is as good, and this finds one.
     Where F is zero or not finite it is the identity.
     """
-    largest = np.abs(F[:, lane]).max()
-    if not (largest > 0.0) or not np.isfinite(largest):
+    largest, finite = 0.0, 0.0
+    for k in range(9):
+        largest, finite = max(largest, abs(F[k, lane])), finite + 0.0 * F[k, lane]
+    if largest == 0.0 or finite != 0.0:
         _quaternion_rotation(1.0, 0.0, 0.0, 0.0, R, lane)
         return
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = F[0:3, lane] / largest, F[3:6, lane] / largest, F[6:9, lane] / largest
+    xx, xy, xz = F[0, lane] / largest, F[1, lane] / largest, F[2, lane] / largest
+    yx, yy, yz = F[3, lane] / largest, F[4, lane] / largest, F[5, lane] / largest
+    zx, zy, zz = F[6, lane] / largest, F[7, lane] / largest, F[8, lane] / largest
     N, Q = np.empty((4, 4)), np.empty((4, 4))
     N[0, 0], N[1, 1], N[2, 2], N[3, 3] = xx + yy + zz, xx - yy - zz, yy - xx - zz, zz - xx - yy
     N[0, 1] = N[1, 0] = zy - yz
@@ -161,7 +168,9 @@ def _jacobi_rotation(F, R, lane):
     N[1, 3] = N[3, 1] = xz + zx
     N[2, 3] = N[3, 2] = yz + zy
     jacobi(N, Q)
-    best = np.argmax(np.diag(N))
+    best = 0
+    for k in range(1, 4):
+        best = k if N[k, k] > N[best, best] else best
     _quaternion_rotation(Q[0, best], Q[1, best], Q[2, best], Q[3, best], R, lane)
 
 
