@@ -13,7 +13,9 @@ SMALL = 16_000  # bytes: numbers, names and views, whatever the mesh
 @pytest.mark.parametrize("solver", ["banded", "warped", "pardiso", "cg"])
 @pytest.mark.parametrize("stepper", ["backward_euler", "bdf2"])
 @pytest.mark.parametrize(
-    "method", [{"law": "linear"}, {"iterations": 1}, {"iterations": 2}, {"model": "auto"}], ids=str
+    "method",
+    [{"law": "linear"}, {"iterations": 1}, {"iterations": 2}, {"iterations": "converged"}, {"model": "auto"}],
+    ids=str,
 )
 def test_an_implicit_step_allocates_its_state(cases_folder, method: dict, stepper: str, solver: str) -> None:
     keys = {"mesh.cells": CELLS, "method.linear_solver": solver, "method.stepper": stepper}

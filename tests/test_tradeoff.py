@@ -232,6 +232,10 @@ def test_auto_is_set_against_the_cheapest_that_meets_its_tolerance():
     ]
     (found,) = auto_verdicts(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
     assert found.rival == rows[1].setting and found.ratio == pytest.approx(1.1) and found.kept
+    rows[1] = row(2, 0.0, model=("corotational", "polar", "1"), model_volume=0.012)  # twice the tolerance is not it
+    rows[3] = row(2.2, 0.0, model=AUTO, model_volume=0.009)
+    (found,) = auto_verdicts(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
+    assert found.rival == rows[2].setting
     rows[3] = row(2.2, 0.0, model=AUTO, model_volume=0.021)
     assert not auto_verdicts(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))[0].kept
 

@@ -124,10 +124,12 @@ class Body:
         F = deformation_gradient(self.mesh, x)
         return float(self.mesh.rest_volumes @ self.law.energy_density(F, self.law.rotations(F)))
 
-    def force(self, x: Floats, R: Floats | None = None) -> Floats:
-        """Return the elastic forces ON the nodes (n, d) [N], with the rotations R where they are given."""
+    def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
+        """Return the elastic forces ON the nodes (n, d) [N], with the rotations R where given, in `out` where given."""
         F = deformation_gradient(self.mesh, x)
-        return nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
+        out = np.empty_like(x) if out is None else out
+        out[:] = nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
+        return out
 
     def rehearse(self) -> None:
         """Have kernels, where there are any, loaded before the steps that will ask for them."""

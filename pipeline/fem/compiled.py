@@ -112,11 +112,11 @@ class CompiledBody(Body):
         cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, by that of its half
         return indicator(2 * cosine + x.shape[1] - 2, x.shape[1], stress, self.material)
 
-    def force(self, x: Floats, R: Floats | None = None) -> Floats:
+    def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
         """Return the elastic forces ON the nodes (n, d) [N]; with given rotations the plain way."""
         if R is not None:
-            return super().force(x, R)
-        f = np.empty_like(x)
+            return super().force(x, R, out=out)
+        f = np.empty_like(x) if out is None else out
         self._kernels.force(_plain(x), *self._cells, f)
         return f
 

@@ -45,6 +45,9 @@ class NewtonLimits:
     tangent: Tangent = "projected"
 
 
+_Terms = tuple[float, float, float]  # of phi [J]: inertia, elastic energy, loads
+
+
 @dataclass(frozen=True, eq=False)
 class _Descent:
     """How one attempt ended: x (n, d), phi [J], the residual over its scale [1], and the work."""
@@ -57,13 +60,13 @@ class _Descent:
 
 
 class Converged:
-    """Solves stages to a residual tolerance."""
+    """Solves stages to a residual tolerance, in room made once."""
 
     def __init__(self, body: Body, solver: LinearSolver, limits: NewtonLimits) -> None:
         self.body = body
         self.limits = limits
         self.system = StageSystem(body, solver)
-        m = body.material
+        m, X = body.material, body.mesh.points
         # a force that strain of one would make: what rounding is measured by
         self._stiff = (2 * m.mu + abs(m.lam)) * body.mesh.rest_volumes.max() ** (
             (body.mesh.dimension - 1) / body.mesh.dimension
@@ -71,20 +74,39 @@ class Converged:
         # the energy of a strain of one everywhere [J], and the strain that rounded positions make
         self._full = (2 * m.mu + abs(m.lam)) * float(body.mesh.rest_volumes.sum())
         steepest = float(np.abs(body.mesh.shape_gradients).max())
-        self._rounded_strain = float(np.finfo(np.float64).eps * np.abs(body.mesh.points).max()) * steepest
+        self._rounded_strain = float(np.finfo(np.float64).eps * np.abs(X).max()) * steepest
+        # where the iteration is, where it might go; y, -grad phi, dx, and scratch for two vectors
+        self._x, self._trial = np.empty((2, *X.shape))
+        self._y, self._r, self._dx, self._away, self._Ma = np.empty((5, *X.shape))
+        self._stage: Stage | None = None
+        self._given = 0.0  # the size of the forces that a stage brings
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v at the minimum of phi; raises SolveError with the residual where the limit is reached."""
-        predictor = self._held(stage.x_h + stage.h * stage.v_h, stage)
-        first = self.descend(predictor, stage, min(_PREDICTOR_ITERATIONS, self.limits.iterations))
-        safe = self._held(stage.start, stage)
-        if first.converged and first.phi <= self.potential(safe, stage) + abs(first.phi) * 1e-12:
-            return (first.x - stage.x_h) / stage.h, first.work
-        found = self.descend(safe, stage, self.limits.iterations)
+        self._take(stage)
+        first = self.descend(self._y, stage, min(_PREDICTOR_ITERATIONS, self.limits.iterations))
+        if first.converged:
+            safe = self._hold(stage.start, stage, self._trial)
+            if first.phi <= sum(self._terms(safe, stage)) + abs(first.phi) * 1e-12:
+                return self._velocity(first.x, stage), first.work
+        found = self.descend(stage.start, stage, self.limits.iterations)
         work = first.work + found.work
         if not found.converged:
             raise self._failure(found)
-        return (found.x - stage.x_h) / stage.h, work
+        return self._velocity(found.x, stage), work
+
+    def _velocity(self, x: Floats, stage: Stage) -> Floats:
+        v = np.subtract(x, stage.x_h)
+        v /= stage.h
+        return v
+
+    def _take(self, stage: Stage) -> None:
+        """Find y, and the size of the forces that do not change in the stage."""
+        self._stage = stage
+        np.multiply(stage.v_h, stage.h, out=self._y)
+        self._y += stage.x_h
+        inertia = _norm(self.body.momentum(stage.v_h, self._Ma)) / stage.h
+        self._given = inertia + _norm(self.body.load)
 
     def _failure(self, found: _Descent) -> SolveError:
         count = found.work.iterations
@@ -96,79 +118,87 @@ class Converged:
             return SolveError(f"{said}: try a smaller schedule.dt or a stiffer body")
         return SolveError(f"{said}try a smaller schedule.dt or a larger method.max_iterations")
 
-    def potential(self, x: Floats, stage: Stage) -> float:
-        """Return phi(x) [J]."""
-        return float(sum(self._terms(x, stage)))
-
     def _terms(self, x: Floats, stage: Stage) -> tuple[float, float, float]:
-        away = x - (stage.x_h + stage.h * stage.v_h)
-        inertia = (away * self.body.momentum(away)).sum() / (2 * stage.h**2)
-        return float(inertia), self.body.energy(x), -float((self.body.load * (x - self.body.mesh.points)).sum())
+        """Return the terms of phi(x) [J]."""
+        np.subtract(x, self._y, out=self._away)
+        inertia = float(np.vdot(self._away, self.body.momentum(self._away, self._Ma))) / (2 * stage.h**2)
+        np.subtract(x, self.body.mesh.points, out=self._away)
+        return inertia, self.body.energy(x), -float(np.vdot(self.body.load, self._away))
 
-    def descend(self, x: Floats, stage: Stage, limit: int) -> _Descent:
-        """Return where at most `limit` iterations from x lead."""
-        phi, work = self.potential(x, stage), Work()
+    def descend(self, start: Floats, stage: Stage, limit: int) -> _Descent:
+        """Return where at most `limit` iterations from start (n, d) lead; the next descent overwrites its x."""
+        if stage is not self._stage:
+            self._take(stage)
+        self._hold(start, stage, self._x)
+        terms, work = self._terms(self._x, stage), Work()
         for iteration in range(limit + 1):
-            r, relative = self._residual(x, self.body.force(x), stage)
+            relative = self._residual(stage)
             if relative <= self.limits.tolerance or iteration == limit or not np.isfinite(relative):
                 break
-            dx, solved = self._direction(x, r, relative, stage)
-            x, phi, moved = self._search(x, dx, phi, -float((r * dx).sum()), stage)
-            work += solved + Work(iterations=1, rotations=1)
-            if not moved:
+            work += self._direction(relative, stage) + Work(iterations=1, rotations=1)
+            before, terms = terms, self._search(terms, -float(np.vdot(self._r, self._dx)), stage)
+            if terms is before:
                 break
-        return _Descent(x, phi, relative, relative <= self.limits.tolerance, work)
+        return _Descent(self._x, sum(terms), relative, relative <= self.limits.tolerance, work)
 
-    def _held(self, x: Floats, stage: Stage) -> Floats:
-        out = x.copy()
+    def _hold(self, x: Floats, stage: Stage, out: Floats) -> Floats:
+        """Copy x into out, the held nodes to where the stage has them, and return it."""
+        np.copyto(out, x)
         out[self.body.supports.nodes] = stage.held
         return out
 
-    def _residual(self, x: Floats, f: Floats, stage: Stage) -> tuple[Floats, float]:
-        """Return -grad phi (n, d) [N], zero on held nodes, and its norm over that of the forces in it."""
-        body = self.body
-        momentum = body.momentum((x - stage.x_h) / stage.h - stage.v_h)
-        r = body.load + f - momentum / stage.h
+    def _residual(self, stage: Stage) -> float:
+        """Write -grad phi at x into r (n, d) [N], zero on held nodes; return its norm over that of the forces in it."""
+        body, r = self.body, self._r
+        body.force(self._x, out=r)
+        size = self._given + _norm(r)
+        np.subtract(self._x, self._y, out=self._away)
+        body.momentum(self._away, self._Ma)
+        self._Ma /= stage.h**2
+        r += body.load
+        r -= self._Ma
         r[body.supports.nodes] = 0.0
-        size = np.linalg.norm(body.momentum(stage.v_h)) / stage.h + np.linalg.norm(body.load) + np.linalg.norm(f)
-        floor = _ROUNDING / self.limits.tolerance * self._stiff * np.sqrt(x.size)
-        return r, float(np.linalg.norm(r) / max(size, floor))
+        floor = _ROUNDING / self.limits.tolerance * self._stiff * np.sqrt(r.size)
+        return _norm(r) / max(size, floor)
 
-    def _direction(self, x: Floats, r: Floats, relative: float, stage: Stage) -> tuple[Floats, Work]:
-        """Return the Newton step dx (n, d), by the exact tangent near the end where that is positive definite."""
+    def _direction(self, relative: float, stage: Stage) -> Work:
+        """Find the Newton step dx (n, d), by the exact tangent near the end where that is positive definite."""
         kind = self.limits.tangent
-        if kind == "projected" and relative < _NEAR:
-            try:
-                dx, work = self._solved(x, r, "exact", stage)
-            except SolveError:  # a Cholesky factor says so; others give a direction that does not descend
-                dx, work = np.zeros_like(r), Work(factorisations=1)
-            if (r * dx).sum() > 0:
-                return dx, work
-            dx, again = self._solved(x, r, kind, stage)
-            return dx, work + again
-        return self._solved(x, r, kind, stage)
+        if kind != "projected" or relative >= _NEAR:
+            return self._solved(kind, stage)
+        try:
+            work = self._solved("exact", stage)
+        except SolveError:  # a Cholesky factor says so; others give a direction that does not descend
+            return Work(factorisations=1) + self._solved(kind, stage)
+        if np.vdot(self._r, self._dx) > 0:
+            return work
+        return work + self._solved(kind, stage)
 
-    def _solved(self, x: Floats, r: Floats, kind: Tangent, stage: Stage) -> tuple[Floats, Work]:
-        """Return dx (n, d) with (M/h^2 + K) dx = r on the free nodes."""
-        work = self.system.linearise(x, stage.h, kind=kind)
-        dx = np.zeros_like(r)
-        np.multiply(r, stage.h**2, out=self.system.b)
-        return dx, work + self.system.solve(dx[self.body.supports.nodes], dx)
+    def _solved(self, kind: Tangent, stage: Stage) -> Work:
+        """Make (M/h^2 + K) dx = r on the free nodes."""
+        work = self.system.linearise(self._x, stage.h, kind=kind)
+        np.multiply(self._r, stage.h**2, out=self.system.b)
+        self._dx[:] = 0.0
+        return work + self.system.solve(self._dx[self.body.supports.nodes], self._dx)
 
-    def _search(self, x: Floats, dx: Floats, phi: float, slope: float, stage: Stage) -> tuple[Floats, float, bool]:
-        """Return x + s dx with the first s of 1, 1/2, … that lowers phi enough, its phi, and whether there was one."""
+    def _search(self, terms: _Terms, slope: float, stage: Stage) -> _Terms:
+        """Move x to x + s dx with the first s of 1, 1/2, … that lowers phi enough; return its terms, or those given.
+
+        They are the given ones, and x stays, where there is no such s.
+        """
         # at the solution phi no longer changes in its digits; a step that promises less than those is taken whole
-        noise = self._noise(self._terms(x, stage))
-        s = 1.0
+        phi, noise, s = sum(terms), self._noise(terms), 1.0
         while s >= _SHORTEST:
-            trial = x + s * dx
-            value = self.potential(trial, stage)
-            if value <= phi + _SUFFICIENT * s * min(slope, 0.0) + noise:
-                return trial, value, True
+            np.multiply(self._dx, s, out=self._trial)
+            self._trial += self._x
+            found = self._terms(self._trial, stage)
+            if sum(found) <= phi + _SUFFICIENT * s * min(slope, 0.0) + noise:
+                self._x, self._trial = self._trial, self._x
+                return found
             s /= 2
-        return x, phi, False
+        return terms
 
-    def _noise(self, terms: tuple[float, float, float]) -> float:
+    def _noise(self, terms: _Terms) -> float:
         """Return the part of phi [J] that is rounding, from its terms.
 
         Near the rest shape W loses more digits than any sum does: half of full e^2, it changes by full e de with the
@@ -176,3 +206,7 @@ class Converged:
         """
         elastic = max(terms[1], 0.0)  # rounding may leave it a little below
         return _DIGITS * sum(map(abs, terms)) + float(np.sqrt(2 * elastic * self._full)) * self._rounded_strain
+
+
+def _norm(a: Floats) -> float:
+    return float(np.sqrt(np.vdot(a, a)))

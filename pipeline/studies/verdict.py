@@ -15,9 +15,10 @@ MODE_BAR = 10.0  # times fewer steps
 
 @dataclass(frozen=True)
 class AutoVerdict:
-    """model = "auto" beside the cheapest fixed setting of the same stepper, dt and mesh that meets its tolerance.
+    """model = "auto" beside the cheapest fixed setting of the same stepper, dt and mesh that meets the same tolerance.
 
-    `volume` is the worst |J - J_ref| of auto against the converged solution, to be at most twice the tolerance;
+    `volume` is the worst |J - J_ref| of auto against the converged solution, to be at most twice the tolerance; that of
+    the rival is at most the tolerance, or auto's where auto exceeds it.
     `iterations` count linear solves, which do not depend on the machine; `ratio` is that of the seconds.
     """
 
@@ -85,9 +86,10 @@ def auto_verdicts(table: Table) -> list[AutoVerdict]:
         if (s.law, s.rotation, s.iterations) != AUTO or "model_volume" not in row.deviations:
             continue
         rivals = [one for one in table.rows if one.setting.law != "auto" and _alike(one.setting, s)]
-        kept = [one for one in rivals if one.deviations.get("model_volume", float("inf")) <= limit]
-        best = min(kept, key=lambda one: one.costs["seconds"], default=None)
         seconds, volume = row.costs["seconds"], row.deviations["model_volume"]
+        met = max(table.plan.tolerance, volume)
+        enough = [one for one in rivals if one.deviations.get("model_volume", float("inf")) <= met]
+        best = min(enough, key=lambda one: one.costs["seconds"], default=None)
         other = best.costs["seconds"] if best else None
         out.append(
             AutoVerdict(
