@@ -86,6 +86,46 @@ def test_an_error_of_the_case_is_one_line_with_file_and_key(tmp_path, capfd, ver
     assert not (tmp_path / "outputs").exists()
 
 
+BOX = {"shape": "box", "size": [1.0, 3.0, 1.0], "cells": [1, 3, 1]}
+LONG = "9" * 5000
+TOO_LONG = {
+    "split": {"mesh": BOX | {"split": LONG}},
+    "shape": {"mesh": BOX | {"shape": LONG}},
+    "mesh_file": {"mesh": {"file": LONG}},
+    "law": {"method": {"law": LONG}},
+    "key": {LONG: 1},
+    "many_variants": {"variants": {f"v{i}": {} for i in range(1000)}, "movie": {"variants": ["none"]}},
+}
+
+
+@pytest.mark.parametrize("name", TOO_LONG)
+def test_what_is_quoted_stays_short(tmp_path, capfd, name):
+    write_case(tmp_path, **TOO_LONG[name])
+    assert run("beam.toml") == 2
+    error = capfd.readouterr().err
+    assert error.startswith("CaseError: beam.toml: ") and error.count("\n") == 1 and len(error) < 2000
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["study", "stability", "beam.toml", "--slice", LONG],
+        ["study", "scaling", "beam.toml", "--method", LONG],
+        ["study", "scaling", "beam.toml", "--cells", LONG],
+        ["analyze", "their.pvd"],
+        ["analyze", "other.pvd"],
+    ],
+    ids=["slice", "method", "cells", "frame", "time"],
+)
+def test_so_does_what_other_verbs_quote(case, tmp_path, capfd, arguments):
+    index = '<VTKFile><Collection><DataSet timestep="{}" file="{}.vtu"/></Collection></VTKFile>'
+    (tmp_path / "their.pvd").write_text(index.format("0", LONG))
+    (tmp_path / "other.pvd").write_text(index.format("a" + LONG, "its"))
+    assert main(arguments) == 2
+    error = capfd.readouterr().err
+    assert "Error: " in error and error.count("\n") == 1 and len(error) < 2000
+
+
 @pytest.mark.parametrize(
     ("arguments", "wanted"),
     [

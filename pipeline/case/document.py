@@ -4,13 +4,13 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import CaseError
+from pipeline.errors import CaseError, shortened, shown
 
 
 def read_document(path: Path) -> dict[str, Any]:
     """The tables of a TOML file. CaseError names what is in the way, with the line where there is one."""
     if "\0" in str(path):
-        raise CaseError(f"{str(path)!r}: no such file")
+        raise CaseError(f"{shown(str(path))}: no such file")
     try:
         if path.is_dir():
             raise CaseError(f"{path}: is a folder, not a case file{_neighbours(path)}")
@@ -33,7 +33,7 @@ def _parsed(text: str, path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         reason = " ".join(str(error).split())
         end = f"at line {text.count(chr(10)) + 1}, the end of the file"
-        raise CaseError(f"{path}: not TOML: {reason.replace('at end of document', end)}") from None
+        raise CaseError(f"{path}: not TOML: {shortened(reason.replace('at end of document', end), 200)}") from None
     except ValueError as error:  # a number beyond Python's limit of digits, a day that no month has
         raise CaseError(f"{path}: not TOML: {' '.join(str(error).split())}") from None
 

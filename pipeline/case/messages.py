@@ -7,7 +7,8 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from pipeline.case.specs import CaseFile
-from pipeline.case.values import dotted, shown
+from pipeline.case.values import dotted
+from pipeline.errors import shown
 
 WANTED = {
     "model_type": "a table",

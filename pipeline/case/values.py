@@ -2,15 +2,15 @@
 
 import math
 import re
-from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, PlainValidator
 from pydantic_core import PydanticCustomError
 
+from pipeline.errors import shortened, shown
+
 # Counts and node numbers stay in 32 bits, as they do in VTK files and in compiled kernels.
 LARGEST_INTEGER = 2**31 - 1
-LONGEST_QUOTE = 60
 # Energies multiply six such numbers, which double precision holds.
 LARGEST_NUMBER, SMALLEST_POSITIVE = 1e30, 1e-30
 FOLDER_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
@@ -22,27 +22,9 @@ def fault(message: str, *key: str) -> PydanticCustomError:
     return PydanticCustomError("case", "{message}", {"message": message, "key": key})
 
 
-def shown(value: object) -> str:
-    """A value as a message quotes it: one line, printable, at most 60 characters."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    try:
-        text = repr(dict(value)) if isinstance(value, Mapping) else repr(value)
-    except ValueError:  # an integer beyond Python's limit of digits
-        return "a number of thousands of digits"
-    if len(text) > LONGEST_QUOTE:
-        text = text[: LONGEST_QUOTE - 3] + "..."
-    return text if text.isprintable() else ascii(text)[1:-1]
-
-
 def dotted(parts: tuple[str, ...]) -> str:
     """A key as it is written in TOML: parts joined by dots, quoted where a bare key would not do."""
-    return ".".join(part if BARE_KEY.fullmatch(part) else _quoted(part) for part in parts)
-
-
-def _quoted(part: str) -> str:
-    text = part if len(part) <= LONGEST_QUOTE else part[: LONGEST_QUOTE - 3] + "..."
-    return f'"{text if text.isprintable() else ascii(text)[1:-1]}"'
+    return ".".join(shortened(part) if BARE_KEY.fullmatch(part) else f'"{shortened(part)}"' for part in parts)
 
 
 def _number(value: Any) -> float:

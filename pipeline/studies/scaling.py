@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.case import Case
-from pipeline.errors import CaseError, OutputError
+from pipeline.errors import CaseError, OutputError, shown
 from pipeline.sinks.atomic import whole_file, write_whole
 from pipeline.studies.cost import METHODS
 
@@ -63,7 +63,7 @@ def scaling(
     written. A point that fails is a row with its `error`.
     """
     if unknown := [name for name in methods if name not in METHODS]:
-        raise CaseError(f"--method {unknown[0]}: is not one of {', '.join(METHODS)}")
+        raise CaseError(f"--method {shown(unknown[0])}: is not one of {', '.join(METHODS)}")
     points: list[dict[str, Any]] = []
     for case in cases:
         file = out / "cases" / f"{case.name}.toml"
