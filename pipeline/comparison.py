@@ -18,7 +18,7 @@ from pipeline.views.paraview import write_script
 if TYPE_CHECKING:
     import xarray
 
-_DRAWN = ("comparison.mp4", "comparison.png")
+DRAWN = ("comparison.mp4", "comparison.png")
 _EFFORT = "effort.png"  # where a variant has model = "auto"
 
 
@@ -38,9 +38,9 @@ def compare(
     paths = {
         n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png", SCRIPT)
     }
-    if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in _DRAWN):
+    if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in DRAWN):
         return [], []
-    for stale in (*_DRAWN, _EFFORT):
+    for stale in (*DRAWN, _EFFORT):
         (folder / stale).unlink(missing_ok=True)
     title = case.movie.title or case.name.replace("_", " ")
     statistics = {name: read_statistics(folder / name / "statistics.nc") for name in usable}
