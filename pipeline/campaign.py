@@ -72,10 +72,8 @@ def run_campaign(
         ]
         check_room(folder, {name: (problems[name], resolved[name].output) for name in todo})
         redraw = _another_movie(case, folder)
-        for name in DRAWN if redraw else ():
-            (folder / name).unlink(
-                missing_ok=True
-            )  # before case.toml says otherwise: an interruption leaves no old one
+        for name in DRAWN if redraw else ():  # before case.toml changes: an interruption leaves no old movie
+            (folder / name).unlink(missing_ok=True)
         write_whole(folder / "case.toml", case.to_toml(folder))
         results = []
         for name, one in resolved.items():

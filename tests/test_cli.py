@@ -277,8 +277,48 @@ def test_check_tells_what_can_be_known_before_solving(capfd):
     text = capfd.readouterr().out
     # of the thesis bar: 10.42 rad/s at dt = .07 s is z = .73 and 32 % of damping
     for words in ("linear", "81, of which 9 are held", "tetrahedra   192 in 1 component", "192 m3", "192000 kg",
-                  "10.42 rad/s", "0.7297 with dt = 0.07 s", "32.1 % of critical", "0.0019 s"):  # fmt: skip
+                  "10.42 rad/s", "0.7297 with dt = 0.07 s", "32.1 % of critical", "0.0019 s",
+                  "pressure waves run at 384.9 m/s"):  # fmt: skip
         assert words in text, words
+
+
+def test_check_tells_what_is_the_same_of_variants_once(case, tmp_path, capfd):
+    own = {"method.stepper": "bdf2"}
+    write_case(tmp_path, variants={"linear": {"method.law": "linear"}, "bdf2": own, "polar": {}})
+    assert main(["check", case]) == 0
+    names = [line for line in capfd.readouterr().out.splitlines() if not line.startswith(" ")]
+    assert names == ["linear, polar", "bdf2"]
+
+
+def test_check_tells_the_damping_and_the_phase_of_the_stepper(capfd):
+    def checked(stepper, dt):
+        arguments = ["check", str(ROOT / "cases" / "bar.toml"), "--variant", "linear", "--json"]
+        assert main([*arguments, "--set", f"method.stepper={stepper}", "--set", f"schedule.dt={dt}"]) == 0
+        return json.loads(capfd.readouterr().out)["linear"]
+
+    for stepper, zeta in (("backward_euler", lambda z: z / 2), ("bdf2", lambda z: z**3 / 4)):
+        found = checked(stepper, 0.002)
+        z = found["z"]
+        assert found["damping"] == pytest.approx(zeta(z), rel=5 * z**2)  # the next term of the series
+        assert found["phase_lag"] == pytest.approx(360 * z**2 / 3, rel=2 * z**2)
+    explicit = checked("symplectic_euler", 0.002)
+    assert explicit["damping"] is None and explicit["phase_lag"] is None
+
+
+@pytest.mark.parametrize(
+    ("dt", "words"),
+    [
+        (0.07, ["bdf2 damps that mode by 4.69 % of critical; for 1 % take dt near 0.0", "lags by 41.5 degrees a per"]),
+        (0.001, ["bdf2 damps that mode by 2.83e-05 % of critical\n", "lags by 0.013 degrees a period\n"]),
+    ],
+)
+def test_check_has_a_remedy_where_one_is_needed(capfd, dt, words):
+    bar = str(ROOT / "cases" / "bar.toml")
+    assert (
+        main(["check", bar, "--variant", "linear", "--set", "method.stepper=bdf2", "--set", f"schedule.dt={dt}"]) == 0
+    )
+    text = capfd.readouterr().out
+    assert all(one in text for one in words), text
 
 
 def test_check_as_json_has_numbers(case, capfd):

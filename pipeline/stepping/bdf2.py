@@ -7,6 +7,7 @@ x* = 2 x_n - x_{n-1}, which keeps order 2. On one mode the larger root of (3/2 -
 Not for impacts: it remembers the state before.
 """
 
+from cmath import sqrt
 from dataclasses import dataclass
 
 from pipeline.fem.body import Body
@@ -42,3 +43,8 @@ class BDF2:
         x_new = x_h + h * v_new
         x_new[self.body.supports.nodes] = held
         return State(state.step + 1, x_new, v_new, {**remembered, **memory}), work + Work(steps=1)
+
+
+def mode_factor(z: float) -> complex:
+    """Return the factor G of a step on a mode with z = omega dt; an exact step would turn it by e^(i z)."""
+    return 1 / (2 - sqrt(1 + 2j * z))
