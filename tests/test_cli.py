@@ -129,10 +129,19 @@ def test_so_does_what_other_verbs_quote(case, tmp_path, capfd, arguments):
 @pytest.mark.parametrize(
     ("arguments", "wanted"),
     [
-        (["none.toml"], "none.toml: no such file; . has beam.toml"),
+        (["none.toml"], "none.toml: no such file\n"),
         (["beam.toml", "--variant", "polr"], "beam.toml: no variant 'polr'; choose from linear, gram_schmidt, polar"),
         (["beam.toml", "--set", "schedule.dt"], "--set 'schedule.dt': write key=value"),
         (["beam.toml", "--set", "schedule.dt=-1"], "beam.toml: schedule.dt: -1 is not positive"),
+        (["beam.toml", "--set", "schedule.dt=.002"], "beam.toml: schedule.dt: '.002' is not a number; write 0.002\n"),
+        (["beam.toml", "--set", "schedule.dt=2."], "beam.toml: schedule.dt: '2.' is not a number; write 2.0\n"),
+        (["beam.toml", "--set", "schedule.dt=half"], "beam.toml: schedule.dt: 'half' is not a number\n"),
+        (["beam.toml", "--set", "schedule.dt='nan'"], "beam.toml: schedule.dt: 'nan' is not a number\n"),
+        (
+            ["beam.toml", "--set", "initial.velocity=[0, -.5, 1.e3]"],
+            "beam.toml: initial.velocity: '[0, -.5, 1.e3]' is not a list; write [0, -0.5, 1.0e3]\n",
+        ),
+        (["beam.toml", "--set", "initial.velocity=down"], "beam.toml: initial.velocity: 'down' is not a list\n"),
         (["beam.toml", "--set", "schedul.dt=1"], 'beam.toml: schedul.dt: unknown key; did you mean "schedule.dt"?'),
         (["beam.toml", "--steps", "0"], "beam.toml: schedule.steps_per_frame: a frame takes 1 step"),
         (["."], ".: is a folder, not a case file; . has beam.toml"),

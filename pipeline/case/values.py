@@ -2,6 +2,7 @@
 
 import math
 import re
+import tomllib
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, PlainValidator
@@ -14,6 +15,8 @@ LARGEST_INTEGER = 2**31 - 1
 # Energies multiply six such numbers, which double precision holds.
 LARGEST_NUMBER, SMALLEST_POSITIVE = 1e30, 1e-30
 FOLDER_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
+# what TOML asks for and other languages do not: digits on both sides of a point
+BEFORE_POINT, AFTER_POINT = re.compile(r"(?<![\w.])\.(?=\d)"), re.compile(r"(?<=\d)\.(?!\d)")
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -27,9 +30,22 @@ def dotted(parts: tuple[str, ...]) -> str:
     return ".".join(shortened(part) if BARE_KEY.fullmatch(part) else f'"{shortened(part)}"' for part in parts)
 
 
+def as_toml(value: object) -> str:
+    """The words "; write ..." for a text that is a number or a list once its points have digits on both sides."""
+    if not isinstance(value, str):
+        return ""
+    text = AFTER_POINT.sub(".0", BEFORE_POINT.sub("0.", value.strip()))
+    try:
+        (meant,) = tomllib.loads(f"value = {text}").values()
+    except (ValueError, RecursionError):
+        return ""
+    finite = isinstance(meant, int | float) and math.isfinite(meant) and not isinstance(meant, bool)
+    return f"; write {shortened(text)}" if finite or isinstance(meant, list) else ""
+
+
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise fault(f"{shown(value)} is not a number")
+        raise fault(f"{shown(value)} is not a number{as_toml(value)}")
     try:
         number = float(value)
     except OverflowError:
