@@ -87,8 +87,8 @@ def scaling(
             on_point(index + 1, len(points))
     machine = {"processor": platform.machine(), "cores": os.cpu_count(), "bandwidth_GB_per_s": bandwidth}
     said = (
-        "one thread; ms is the median processor time of a step, writing left out; linear systems to a relative residual "
-        "of rtol"
+        "one thread; ms is the median processor time of a step, writing left out; linear systems to a relative "
+        "residual of rtol"
     )
     path = out / "bench.json"
     write_whole(path, json.dumps({"rows": rows, "machine": machine, "rtol": rtol, "note": said}, indent=2) + "\n")
