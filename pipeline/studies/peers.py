@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from importlib.metadata import version
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
@@ -34,10 +34,9 @@ class Costs(NamedTuple):
 
 
 class Peer(NamedTuple):
-    """The package and its distribution, what of it is measured and how, and what differs from ours."""
+    """The package, what of it is measured and how, and what differs from ours."""
 
     module: str
-    distribution: str
     what: str
     costs: Callable[[Problem], Costs]
     differs: str
@@ -125,7 +124,6 @@ def _numbers(array: "np.ndarray[Any, Any]") -> str:
 PEERS: Mapping[str, Peer] = {
     "felupe": Peer(
         "felupe",
-        "felupe",
         "an assembly",
         _felupe,
         "an assembly, no step: felupe's is the stiffness of linear elasticity at rest, ours the rotations, forces and "
@@ -133,7 +131,6 @@ PEERS: Mapping[str, Peer] = {
     ),
     "mujoco": Peer(
         "mujoco",
-        "mujoco-core",
         "a step",
         _mujoco,
         'a step of the same dt: Saint Venant-Kirchhoff elasticity, integrator "discrete" (one solve with M + h^2 K), '
@@ -158,7 +155,7 @@ def measured(settings: dict[str, Any]) -> dict[str, Any]:
     costs = peer.costs(problem)
     return {
         "method": name,
-        "version": version(peer.distribution),
+        "version": str(import_module(peer.module).__version__),
         "cells": settings.get("cells"),
         "tets": cells,
         "nodes": len(problem.body.mesh.points),
