@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.case import Case, MethodSpec
-from pipeline.case.values import shown
 from pipeline.conditions import dead_load, initial_state, supports
-from pipeline.errors import MeshError
+from pipeline.errors import MeshError, listed, shown
 from pipeline.fem.body import Body
 from pipeline.fem.compiled import make_body
 from pipeline.fem.laws import Corotational
@@ -46,7 +45,7 @@ def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
     if case.variant_name is None and len(case.variant_names) == 1:
         case = case.variant(case.variant_names[0])
     elif case.variant_name is None:
-        raise case.error("variants", f"choose one with case.variant(name): {', '.join(case.variant_names)}")
+        raise case.error("variants", f"choose one with case.variant(name): {listed(case.variant_names)}")
     case = settled(case)
     _check_method(case)
     mesh_notes: list[str] = []

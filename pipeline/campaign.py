@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.build import Problem, build, settled
-from pipeline.case import Case
-from pipeline.comparison import compare
+from pipeline.case import Case, load_case
+from pipeline.comparison import DRAWN, compare
 from pipeline.disk import check_room
 from pipeline.errors import CaseError, SolveError
 from pipeline.record_keeping import Interrupted, folder_lock, interruptible, mesh_digest
@@ -71,6 +71,9 @@ def run_campaign(
             if _must_solve(one, problems[name], folder / name, force=force, resume=resume)
         ]
         check_room(folder, {name: (problems[name], resolved[name].output) for name in todo})
+        redraw = _another_movie(case, folder)
+        for name in DRAWN if redraw else ():  # before case.toml changes: an interruption leaves no old movie
+            (folder / name).unlink(missing_ok=True)
         write_whole(folder / "case.toml", case.to_toml(folder))
         results = []
         for name, one in resolved.items():
@@ -84,8 +87,16 @@ def run_campaign(
             if asked.requested:
                 raise Interrupted(f"interrupted after {name}; the same command with --resume goes on from there")
         notes = [note for one in results for note in one.run.get("notes", ())]
-        made, more = compare(case, folder, movie=movie, on_drawing=on_drawing, fresh=bool(todo))
+        made, more = compare(case, folder, movie=movie, on_drawing=on_drawing, fresh=bool(todo) or redraw)
     return CampaignResult(folder, tuple(results), tuple(made), tuple(dict.fromkeys([*notes, *more])))
+
+
+def _another_movie(case: Case, folder: Path) -> bool:
+    """Return whether the folder's pictures are of another [movie] table, whose title is on the plots too."""
+    try:
+        return load_case(folder / "case.toml").movie != case.movie
+    except CaseError:  # there is none yet, or none that can be read
+        return True
 
 
 def _must_solve(case: Case, problem: Problem, folder: Path, *, force: bool, resume: bool) -> bool:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.build import settled
 from pipeline.case import Case, load_case
-from pipeline.errors import OutputError
+from pipeline.errors import OutputError, listed
 from pipeline.series import read_series
 from pipeline.sinks.formats import FORMATS
 from pipeline.statistics import joined, read_statistics, write_dataset
@@ -18,7 +18,7 @@ from pipeline.views.paraview import write_script
 if TYPE_CHECKING:
     import xarray
 
-_DRAWN = ("comparison.mp4", "comparison.png")
+DRAWN = ("comparison.mp4", "comparison.png")
 _EFFORT = "effort.png"  # where a variant has model = "auto"
 
 
@@ -38,9 +38,9 @@ def compare(
     paths = {
         n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png", SCRIPT)
     }
-    if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in _DRAWN):
+    if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in DRAWN):
         return [], []
-    for stale in (*_DRAWN, _EFFORT):
+    for stale in (*DRAWN, _EFFORT):
         (folder / stale).unlink(missing_ok=True)
     title = case.movie.title or case.name.replace("_", " ")
     statistics = {name: read_statistics(folder / name / "statistics.nc") for name in usable}
@@ -134,5 +134,5 @@ def movie_of_folder(folder: Path, *, on_drawing: Callable[[int, int], None] | No
     runs = recorded(case, folder)
     shown = [name for name in case.movie.variants if name in runs]
     if not shown:
-        raise OutputError(f"{folder}: none of {', '.join(case.movie.variants)} has a recorded frame of this case")
+        raise OutputError(f"{folder}: none of {listed(case.movie.variants)} has a recorded frame of this case")
     return draw_movie(case, folder, shown, on_drawing=on_drawing)

@@ -1,4 +1,12 @@
-"""Everything that this package raises on purpose; the command line turns each into one line and an exit code."""
+"""Everything that this package raises on purpose, and how its messages quote what they were given.
+
+The command line turns each error into one line and an exit code.
+"""
+
+from collections.abc import Iterable, Mapping
+
+LONGEST_QUOTE = 60
+_LONGEST_LIST = 20
 
 
 class PipelineError(Exception):
@@ -29,3 +37,27 @@ class OutputError(PipelineError):
     """A result could not be written or drawn."""
 
     exit_code = 4
+
+
+def shown(value: object) -> str:
+    """A value as a message quotes it: one line, printable, at most 60 characters."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    try:
+        text = repr(dict(value)) if isinstance(value, Mapping) else repr(value)
+    except ValueError:  # an integer beyond Python's limit of digits
+        return "a number of thousands of digits"
+    return shortened(text)
+
+
+def shortened(text: str, longest: int = LONGEST_QUOTE) -> str:
+    """The text, or its beginning, on one line and printable."""
+    text = text if len(text) <= longest else text[: longest - 3] + "..."
+    return text if text.isprintable() else ascii(text)[1:-1]
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names as a message lists them: joined by commas, each shortened, at most 20 of them."""
+    texts = [shortened(name) for name in names]
+    more = len(texts) - _LONGEST_LIST
+    return ", ".join(texts[:_LONGEST_LIST]) + (f" and {more} more" if more > 0 else "")

@@ -16,6 +16,7 @@ from pipeline.fem.material import Material
 from pipeline.fem.rotation import gram_schmidt, polar
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Floats, Mesh
+from pipeline.stepping import backward_euler, bdf2
 from pipeline.stepping.backward_euler import BackwardEuler
 from pipeline.stepping.banded import BandedCholesky
 from pipeline.stepping.bdf2 import BDF2
@@ -76,6 +77,11 @@ STEPPERS: Mapping[str, Callable[[Body, float, MethodSpec], Stepper]] = {
 # steppers that are stable below a step only: a bound that accepts at once, and the limit itself [s]
 STEP_LIMITS: Mapping[str, tuple[Callable[[Body], float], Callable[[Body], float]]] = {
     "symplectic_euler": (element_limit, true_limit),
+}
+# what a step of the implicit ones does to a mode of the linear law: its factor for z = omega dt
+MODE_FACTORS: Mapping[str, Callable[[float], complex]] = {
+    "backward_euler": backward_euler.mode_factor,
+    "bdf2": bdf2.mode_factor,
 }
 
 

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.build import Problem
 from pipeline.case import Case
-from pipeline.errors import OutputError, SolveError
+from pipeline.errors import OutputError, SolveError, shortened
 from pipeline.failure import FILE as FAILURE
 from pipeline.failure import examined
 from pipeline.frame import Frame, Sink, Values
@@ -83,7 +83,9 @@ def difference(old: dict[str, Any], new: dict[str, Any]) -> str:
     """Return the first three keys at which two cases differ, with both values."""
     before, after = _flat(old), _flat(new)
     keys = [key for key in {**before, **after} if before.get(key) != after.get(key)]
-    shown = [f"{key}: {before.get(key)} there, {after.get(key)} here" for key in keys[:3]]
+    shown = [
+        f"{key}: {shortened(str(before.get(key)))} there, {shortened(str(after.get(key)))} here" for key in keys[:3]
+    ]
     return "; ".join(shown) + (f"; and {len(keys) - 3} more" if len(keys) > 3 else "")
 
 

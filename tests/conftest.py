@@ -3,16 +3,20 @@
 import os
 import shutil
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
+from pipeline import build, frames, load_case
 from pipeline.errors import OutputError, PipelineError
 from pipeline.foreign.reader import Reader
+from pipeline.mesh.simplex import signed_volumes
 from pipeline.opengl import ensure_opengl
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,6 +37,19 @@ def project_root() -> Path:
 @pytest.fixture(scope="session")
 def cases_folder() -> Path:
     return ROOT / "cases"
+
+
+@pytest.fixture(scope="module")
+def ratios(cases_folder: Path) -> Callable[[str, str], np.ndarray]:
+    """(case, variant) -> volume ratios (101, cells) of the whole run, solved once."""
+
+    @cache
+    def of(case: str, variant: str) -> np.ndarray:
+        problem = build(load_case(cases_folder / f"{case}.toml").variant(variant))
+        rest = problem.body.mesh.rest_volumes
+        return np.array([signed_volumes(f.x, f.mesh.cells) / rest for f in frames(problem)])
+
+    return of
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from pipeline.fem.modes import lowest_frequencies
 from pipeline.fem.supports import Motion
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.run import frames
+from pipeline.stepping.bdf2 import mode_factor
 from pipeline.stepping.state import State, Work
 from tests.bodies import METHODS, built, clamped_bar, motion, solid, stepper
 
@@ -29,6 +30,7 @@ def test_a_mode_decays_and_lags_by_the_larger_root(mode, z):
     omega, shape = found[mode], shapes[mode]
     X, dual = body.mesh.points, body.momentum(shape)
     G = root(z)
+    assert mode_factor(z) == pytest.approx(G.conjugate(), rel=1e-12)
     assert abs((1.5 - 2 / G + 1 / (2 * G**2)) ** 2 + z**2) < 1e-12 * max(1.0, z**2)
     # 1e3 sqrt(kg) m: metres, so that what is left of it after some steps is far above the rounding of X
     w = [1e3 * omega * (1 + 3j), 1e3 * omega * (1 + 3j) * G]

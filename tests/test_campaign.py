@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray
 
-from pipeline import campaign, variant_run
+from pipeline import campaign, comparison, variant_run
 from pipeline.build import Problem
 from pipeline.campaign import CampaignResult, run_campaign
 from pipeline.case import load_case
@@ -151,6 +151,41 @@ def test_a_finished_variant_of_the_same_case_is_up_to_date(out, monkeypatch):
     again = solve(out)
     assert statuses(again) == dict.fromkeys(VARIANTS, "up to date") and again.exit_code == 0
     assert contents(out) == before
+
+
+def test_another_movie_alone_is_drawn_anew_and_nothing_is_solved(out, tmp_path, monkeypatch):
+    drawn = []
+
+    def draw(case, folder, shown, *, on_drawing):
+        drawn.append((case.movie.speed, case.movie.title))
+        for name in comparison.DRAWN:
+            (folder / name).touch()
+
+    monkeypatch.setattr(comparison, "draw_movie", draw)
+    monkeypatch.setattr(BackwardEuler, "step", None)
+
+    def again(**movie):
+        case = load_case(write_case(tmp_path, movie=movie))
+        return run_campaign(case, out).made
+
+    assert again() and drawn == [(1.0, None)]  # none was there
+    assert again() == () and len(drawn) == 1
+    assert again(speed=0.5) and drawn[1:] == [(0.5, None)]
+    assert again(speed=0.5, title="t") and drawn[2:] == [(0.5, "t")]
+    assert again(speed=0.5, title="t") == () and len(drawn) == 3
+
+
+def test_an_old_movie_does_not_outlive_an_interruption(out, tmp_path, monkeypatch):
+    movie = out / "beam" / "comparison.mp4"
+    movie.touch()
+
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(campaign, "compare", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(load_case(write_case(tmp_path, movie={"fps": 10})), out)
+    assert not movie.exists()
 
 
 def test_another_movie_is_not_another_case(out):

@@ -282,7 +282,7 @@ WRONG = [
     ({"schedule.dt": 0}, "schedule.dt: 0 is not positive"),
     ({"schedule.dt": "abc"}, "schedule.dt: 'abc' is not a number"),
     ({"schedule.dt": True}, "schedule.dt: true is not a number"),
-    ({"schedule.dt": "0.1"}, "schedule.dt: '0.1' is not a number"),
+    ({"schedule.dt": "0.1"}, "schedule.dt: '0.1' is not a number; write 0.1"),
     ({"schedule.dt": float("inf")}, "schedule.dt: inf is not finite"),
     ({"schedule.dt": float("nan")}, "schedule.dt: nan is not finite"),
     ({"schedule.dt": 10**400}, f"schedule.dt: 1{'0' * 56}... is too large"),
@@ -469,16 +469,26 @@ def refused(path) -> str:
     return str(caught.value)
 
 
-def test_a_missing_file_names_its_neighbours():
+def test_a_missing_file_names_those_that_are_called_alike():
     assert refused("bar.toml") == "bar.toml: no such file"
     assert refused("nowhere/bar.toml") == "nowhere/bar.toml: no such file"
     write(SMALL)
-    assert refused("bar.toml") == "bar.toml: no such file; . has beam.toml"
+    assert refused("bar.toml") == "bar.toml: no such file"  # beam.toml is not like it
+    assert refused("baem.toml") == "baem.toml: no such file; did you mean beam.toml?"
+    Path("cases").mkdir()
+    for name in ("bar", "bar_small", "swing2d"):
+        write(SMALL, f"cases/{name}.toml")
+    assert refused("bar.toml") == "bar.toml: no such file; did you mean cases/bar.toml?"
+    assert refused("bar_smal") == "bar_smal: no such file; did you mean cases/bar_small.toml?"
+    assert refused("cases/swing.toml") == "cases/swing.toml: no such file; did you mean cases/swing2d.toml?"
+    assert refused("nope.toml") == "nope.toml: no such file"
+
+
+def test_a_folder_is_told_with_what_it_has():
     Path("cases").mkdir()
     for index in range(9):
         write(SMALL, f"cases/{index}.toml")
     names = ", ".join(f"{index}.toml" for index in range(8))
-    assert refused("cases/bar.toml") == f"cases/bar.toml: no such file; cases has {names}, ..."
     assert refused("cases") == f"cases: is a folder, not a case file; cases has {names}, ..."
 
 

@@ -86,13 +86,62 @@ def test_an_error_of_the_case_is_one_line_with_file_and_key(tmp_path, capfd, ver
     assert not (tmp_path / "outputs").exists()
 
 
+BOX = {"shape": "box", "size": [1.0, 3.0, 1.0], "cells": [1, 3, 1]}
+LONG = "9" * 5000
+TOO_LONG = {
+    "split": {"mesh": BOX | {"split": LONG}},
+    "shape": {"mesh": BOX | {"shape": LONG}},
+    "mesh_file": {"mesh": {"file": LONG}},
+    "law": {"method": {"law": LONG}},
+    "key": {LONG: 1},
+    "many_variants": {"variants": {f"v{i}": {} for i in range(1000)}, "movie": {"variants": ["none"]}},
+}
+
+
+@pytest.mark.parametrize("name", TOO_LONG)
+def test_what_is_quoted_stays_short(tmp_path, capfd, name):
+    write_case(tmp_path, **TOO_LONG[name])
+    assert run("beam.toml") == 2
+    error = capfd.readouterr().err
+    assert error.startswith("CaseError: beam.toml: ") and error.count("\n") == 1 and len(error) < 2000
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["study", "stability", "beam.toml", "--slice", LONG],
+        ["study", "scaling", "beam.toml", "--method", LONG],
+        ["study", "scaling", "beam.toml", "--cells", LONG],
+        ["analyze", "their.pvd"],
+        ["analyze", "other.pvd"],
+    ],
+    ids=["slice", "method", "cells", "frame", "time"],
+)
+def test_so_does_what_other_verbs_quote(case, tmp_path, capfd, arguments):
+    index = '<VTKFile><Collection><DataSet timestep="{}" file="{}.vtu"/></Collection></VTKFile>'
+    (tmp_path / "their.pvd").write_text(index.format("0", LONG))
+    (tmp_path / "other.pvd").write_text(index.format("a" + LONG, "its"))
+    assert main(arguments) == 2
+    error = capfd.readouterr().err
+    assert "Error: " in error and error.count("\n") == 1 and len(error) < 2000
+
+
 @pytest.mark.parametrize(
     ("arguments", "wanted"),
     [
-        (["none.toml"], "none.toml: no such file; . has beam.toml"),
+        (["none.toml"], "none.toml: no such file\n"),
         (["beam.toml", "--variant", "polr"], "beam.toml: no variant 'polr'; choose from linear, gram_schmidt, polar"),
         (["beam.toml", "--set", "schedule.dt"], "--set 'schedule.dt': write key=value"),
         (["beam.toml", "--set", "schedule.dt=-1"], "beam.toml: schedule.dt: -1 is not positive"),
+        (["beam.toml", "--set", "schedule.dt=.002"], "beam.toml: schedule.dt: '.002' is not a number; write 0.002\n"),
+        (["beam.toml", "--set", "schedule.dt=2."], "beam.toml: schedule.dt: '2.' is not a number; write 2.0\n"),
+        (["beam.toml", "--set", "schedule.dt=half"], "beam.toml: schedule.dt: 'half' is not a number\n"),
+        (["beam.toml", "--set", "schedule.dt='nan'"], "beam.toml: schedule.dt: 'nan' is not a number\n"),
+        (
+            ["beam.toml", "--set", "initial.velocity=[0, -.5, 1.e3]"],
+            "beam.toml: initial.velocity: '[0, -.5, 1.e3]' is not a list; write [0, -0.5, 1.0e3]\n",
+        ),
+        (["beam.toml", "--set", "initial.velocity=down"], "beam.toml: initial.velocity: 'down' is not a list\n"),
         (["beam.toml", "--set", "schedul.dt=1"], 'beam.toml: schedul.dt: unknown key; did you mean "schedule.dt"?'),
         (["beam.toml", "--steps", "0"], "beam.toml: schedule.steps_per_frame: a frame takes 1 step"),
         (["."], ".: is a folder, not a case file; . has beam.toml"),
@@ -237,8 +286,48 @@ def test_check_tells_what_can_be_known_before_solving(capfd):
     text = capfd.readouterr().out
     # of the thesis bar: 10.42 rad/s at dt = .07 s is z = .73 and 32 % of damping
     for words in ("linear", "81, of which 9 are held", "tetrahedra   192 in 1 component", "192 m3", "192000 kg",
-                  "10.42 rad/s", "0.7297 with dt = 0.07 s", "32.1 % of critical", "0.0019 s"):  # fmt: skip
+                  "10.42 rad/s", "0.7297 with dt = 0.07 s", "32.1 % of critical", "0.0019 s",
+                  "pressure waves run at 384.9 m/s"):  # fmt: skip
         assert words in text, words
+
+
+def test_check_tells_what_is_the_same_of_variants_once(case, tmp_path, capfd):
+    own = {"method.stepper": "bdf2"}
+    write_case(tmp_path, variants={"linear": {"method.law": "linear"}, "bdf2": own, "polar": {}})
+    assert main(["check", case]) == 0
+    names = [line for line in capfd.readouterr().out.splitlines() if not line.startswith(" ")]
+    assert names == ["linear, polar", "bdf2"]
+
+
+def test_check_tells_the_damping_and_the_phase_of_the_stepper(capfd):
+    def checked(stepper, dt):
+        arguments = ["check", str(ROOT / "cases" / "bar.toml"), "--variant", "linear", "--json"]
+        assert main([*arguments, "--set", f"method.stepper={stepper}", "--set", f"schedule.dt={dt}"]) == 0
+        return json.loads(capfd.readouterr().out)["linear"]
+
+    for stepper, zeta in (("backward_euler", lambda z: z / 2), ("bdf2", lambda z: z**3 / 4)):
+        found = checked(stepper, 0.002)
+        z = found["z"]
+        assert found["damping"] == pytest.approx(zeta(z), rel=5 * z**2)  # the next term of the series
+        assert found["phase_lag"] == pytest.approx(360 * z**2 / 3, rel=2 * z**2)
+    explicit = checked("symplectic_euler", 0.002)
+    assert explicit["damping"] is None and explicit["phase_lag"] is None
+
+
+@pytest.mark.parametrize(
+    ("dt", "words"),
+    [
+        (0.07, ["bdf2 damps that mode by 4.69 % of critical; for 1 % take dt near 0.0", "lags by 41.5 degrees a per"]),
+        (0.001, ["bdf2 damps that mode by 2.83e-05 % of critical\n", "lags by 0.013 degrees a period\n"]),
+    ],
+)
+def test_check_has_a_remedy_where_one_is_needed(capfd, dt, words):
+    bar = str(ROOT / "cases" / "bar.toml")
+    assert (
+        main(["check", bar, "--variant", "linear", "--set", "method.stepper=bdf2", "--set", f"schedule.dt={dt}"]) == 0
+    )
+    text = capfd.readouterr().out
+    assert all(one in text for one in words), text
 
 
 def test_check_as_json_has_numbers(case, capfd):

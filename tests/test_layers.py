@@ -21,7 +21,7 @@ ROOMS = (
 ).split()
 HEAVY = frozenset(
     "pyvista vtk vtkmodules meshio xarray netCDF4 matplotlib numba rich imageio_ffmpeg PIL pandas h5py k3d dask "
-    "distributed".split()
+    "distributed felupe mujoco".split()
 )
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 45  # of code: docstrings, comments and blank lines are free

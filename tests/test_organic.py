@@ -7,7 +7,7 @@ import pytest
 
 from pipeline import build, frames, load_case
 from pipeline.mesh.files import read_mesh
-from pipeline.mesh.simplex import component_labels, quality, signed_volumes
+from pipeline.mesh.simplex import component_labels, quality
 from pipeline.mesh.surface import boundary_faces
 
 MESHES = Path(__file__).resolve().parent.parent / "cases" / "meshes"
@@ -42,21 +42,6 @@ LARGEST_CONVERGED = {
 
 def mesh_of(name):
     return read_mesh(MESHES / f"{name}.vtu")
-
-
-@pytest.fixture(scope="module")
-def ratios(cases_folder):
-    """(case, variant) -> volume ratios (101, cells), solved once."""
-    solved = {}
-
-    def of(case, variant):
-        if (case, variant) not in solved:
-            problem = build(load_case(cases_folder / f"{case}.toml").variant(variant))
-            rest = problem.body.mesh.rest_volumes
-            solved[case, variant] = np.array([signed_volumes(f.x, f.mesh.cells) / rest for f in frames(problem)])
-        return solved[case, variant]
-
-    return of
 
 
 def agrees(value: float, wanted: str) -> bool:

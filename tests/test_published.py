@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from pipeline import build, frames, load_case
-from pipeline.mesh.simplex import signed_volumes
-
 # (case, variant): largest volume ratio, and where the number comes from.
 # "published" is the thesis' table 7.1; "measured" was measured with another program of the same method before this
 # one; "here" was read off this program and guards against change only.
@@ -31,21 +28,6 @@ SMALLEST = {
     ("bar", "linear"): 0.6127,
     ("bar", "polar"): 0.6256,
 }
-
-
-@pytest.fixture(scope="module")
-def ratios(cases_folder):
-    """(case, variant) -> volume ratios (101, 192), solved once."""
-    solved = {}
-
-    def of(case, variant):
-        if (case, variant) not in solved:
-            problem = build(load_case(cases_folder / f"{case}.toml").variant(variant))
-            rest = problem.body.mesh.rest_volumes
-            solved[case, variant] = np.array([signed_volumes(f.x, f.mesh.cells) / rest for f in frames(problem)])
-        return solved[case, variant]
-
-    return of
 
 
 @pytest.mark.parametrize(("case", "variant"), LARGEST)

@@ -69,6 +69,18 @@ def test_a_verdict_prefers_what_is_printed_and_gives_its_reason(as_printed, cali
     assert kind_of(remarked) == kind_of(verdict) == re.sub(r" 3\.5|:.*", "", verdict)
 
 
+def test_times_of_another_machine_are_a_kind_of_their_own(short):
+    verdicts = dict(short.report.verdicts)
+    assert verdicts["bar, linear: seconds a step"].startswith("other hardware and software: ours is ")
+    assert verdicts["mushroom, linear: seconds a step"] == "not reproduced: not run"
+    assert kind_of(verdicts["bar, linear: seconds a step"]) == "other hardware"
+    assert verdicts["the corotational method is not"] == "other hardware: not on ours, with compiled sparse solvers"
+    kinds = {kind: short.report.count(kind) for kind in reproduction.KINDS}
+    assert kinds["other hardware"] == 3 and "3 other hardware" in short.summary
+    assert not any("seconds" in what and kind_of(text) == "not reproduced" and "not run" not in text
+                   for what, text in short.report.verdicts)  # fmt: skip
+
+
 def test_an_iteration_is_not_judged_in_per_cent():
     assert judge(replace(NUMBER, quantity="iteration"), 3.0, 17.0, 3.5) == (
         "not reproduced: 3 as printed, 17 with factor 3.5"

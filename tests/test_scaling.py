@@ -1,14 +1,19 @@
 """The cost of a step against the size of the mesh: every row has its numbers, and a point that fails is a row."""
 
 import json
+from importlib.metadata import version
 
+import numpy as np
 import pytest
 
 from pipeline import load_case
 from pipeline.cli import main
-from pipeline.errors import CaseError
+from pipeline.errors import CaseError, MeshError
+from pipeline.studies import cost, peers
 from pipeline.studies.cost import METHODS, measured
-from pipeline.studies.scaling import scaling
+from pipeline.studies.peers import PEERS, available, flex, heard
+from pipeline.studies.peers import measured as measured_peer
+from pipeline.studies.scaling import Scaling, scaling
 
 NUMBERS = ("tets", "nodes", "dt", "ms", "ns_per_tet", "setup_s", "peak_MB", "bytes", "bound_ms")
 
@@ -18,8 +23,8 @@ def test_every_method_has_a_row_with_its_numbers(cases_folder, tmp_path, capsys)
     arguments = ["study", "scaling", str(cases_folder / "bar_as_printed.toml"), "--cells", "1x3x1", "--quiet"]
     assert main([*arguments, "--out", str(tmp_path)]) == 0
     said = json.loads((tmp_path / "bench.json").read_text())
-    assert [row["method"] for row in said["rows"]] == list(METHODS)
-    for row in said["rows"]:
+    assert [row["method"] for row in said["rows"]] == [*METHODS, *available()]
+    for row in said["rows"][: len(METHODS)]:
         assert row["error"] is None and row["tets"] == 18 and all(row[name] > 0 for name in NUMBERS)
         assert (row["baseline_ms"] is not None) == (row["method"] == "one_solve")
     assert (tmp_path / "scaling.png").stat().st_size > 10_000
@@ -35,9 +40,81 @@ def test_a_point_says_what_it_solved_with(cases_folder) -> None:
 
 
 def test_wrong_input_is_an_error_and_nothing_measured_too(cases_folder, tmp_path) -> None:
-    with pytest.raises(CaseError, match="--method quick: is not one of linear, one_solve"):
+    with pytest.raises(CaseError, match="--method 'quick': is not one of linear, one_solve"):
         scaling([load_case(cases_folder / "bar.toml")], tmp_path, methods=["quick"])
     arguments = ["study", "scaling", str(cases_folder / "bar.toml"), "--out", str(tmp_path), "--method", "linear"]
     assert main([*arguments, "--cells", "2by8"]) == 2
     assert main([*arguments, "--scheduler", "tcp://127.0.0.1:1"]) == 2
     assert main([*arguments, "--cells", "0x1x1"]) == 4
+
+
+# Other programs
+
+
+def point(cases_folder, method: str, case: str = "bar_as_printed.toml", variant: str = "polar") -> dict[str, object]:
+    return {"case": str(cases_folder / case), "variant": variant, "rtol": 1e-6, "method": method, "cells": [1, 3, 1]}
+
+
+def test_felupe_assembles_the_matrix_that_is_ours_at_rest(cases_folder, monkeypatch) -> None:
+    import felupe
+
+    seen = []
+    plain = felupe.SolidBody
+
+    def watched(law, field):
+        seen.append(plain(law, field))
+        return seen[0]
+
+    monkeypatch.setattr(felupe, "SolidBody", watched)
+    monkeypatch.setattr(cost, "_MOST_STEPS", 3)
+    row = measured_peer(point(cases_folder, "felupe"))
+    assert row["tets"] == 18 and row["version"] == version("felupe") and "no step" in row["differs"]
+    assert row["ms"] > 0 and row["ours_ms"] > 0 and row["ns_per_tet"] == pytest.approx(1e6 * row["ms"] / 18)
+    body = cost.point_problem(point(cases_folder, "one_solve")).body
+    ours = body.pattern.matrix(body.linearise(body.mesh.points)[1])
+    assert abs(seen[0].assemble.matrix() - ours).max() < 1e-12 * abs(ours).max()
+
+
+def test_mujoco_hangs_as_deep_as_ours(cases_folder, tmp_path, monkeypatch) -> None:
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed (extra bench): this peer is NOT tested")
+    monkeypatch.setattr(cost, "_MOST_STEPS", 3)
+    monkeypatch.chdir(tmp_path)
+    row = measured_peer(point(cases_folder, "mujoco"))
+    assert row["tets"] == 18 and row["ms"] > 0 and row["ours_ms"] > 0 and "Saint Venant" in row["differs"]
+    problem = cost.point_problem(point(cases_folder, "one_solve"))
+    with heard():
+        model, data = flex(problem)
+    assert model.nflexelem == 18 and model.nv == 3 * len(problem.body.free) and model.opt.timestep == problem.dt
+    stepper, state = problem.prepare(), problem.start
+    for _ in range(100):  # both are damped by their step, and come to rest
+        mujoco.mj_step(model, data)
+        state, _ = stepper.step(state)
+    # small strains, where the two models are one
+    assert np.abs(data.flexvert_xpos - state.x).max() < 0.01 * np.abs(state.x - problem.body.mesh.points).max()
+    assert list(tmp_path.iterdir()) == []  # no MUJOCO_LOG.TXT
+
+
+def test_a_peer_is_never_needed(cases_folder, tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(peers, "find_spec", lambda name: None)
+    case = str(cases_folder / "bar_as_printed.toml")
+    arguments = ["study", "scaling", case, "--cells", "1x1x1", "--quiet", "--out", str(tmp_path), "--no-baseline"]
+    assert main([*arguments, "--method", "linear"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2].startswith("not compared with felupe, mujoco: pip install 'corotational-pipeline[bench]'")
+    assert main([*arguments, "--method", "mujoco"]) == 2
+    assert "--method mujoco: is not installed: pip install" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_a_peer_takes_no_planar_body(cases_folder, name) -> None:
+    with pytest.raises(MeshError, match=f"{name} is measured with tetrahedra only"):
+        measured_peer(point(cases_folder, name, "beam2d.toml", "explicit") | {"cells": None})
+
+
+def test_peers_stand_in_a_table_of_their_own() -> None:
+    row = {"method": "mujoco", "version": "4", "cells": [1, 1, 1], "error": None}
+    row |= {"tets": 6, "ms": 3.0, "ns_per_tet": 1.0, "setup_s": 0.1, "ours_ms": 1.5}
+    lines = Scaling(({"method": "linear", "cells": None, "error": "broke"}, row), 10.0, ()).lines()
+    assert lines[1] == "linear     None: broke" and lines[2].startswith("other programs")
+    assert lines[3].startswith("mujoco 4") and lines[3].endswith("1.500 (2.0 x)")
+    assert lines[-1] == f"mujoco: {PEERS['mujoco'].differs}"

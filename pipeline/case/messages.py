@@ -7,7 +7,8 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from pipeline.case.specs import CaseFile
-from pipeline.case.values import dotted, shown
+from pipeline.case.values import as_toml, dotted
+from pipeline.errors import shown
 
 WANTED = {
     "model_type": "a table",
@@ -34,7 +35,8 @@ def first_fault(error: ValidationError, overrides: Iterable[str] = ()) -> tuple[
         case "case":
             return parts, str(context["message"])
         case kind if kind in WANTED:
-            return parts, f"{shown(detail['input'])} is not {WANTED[kind]}"
+            remedy = as_toml(detail["input"]) if kind == "tuple_type" else ""
+            return parts, f"{shown(detail['input'])} is not {WANTED[kind]}{remedy}"
     return parts, " ".join(detail["msg"].split())
 
 

@@ -12,8 +12,8 @@ from pipeline.case.document import read_document
 from pipeline.case.messages import blamed, first_fault
 from pipeline.case.overrides import forgotten, overridden
 from pipeline.case.specs import ONLY_VARIANT, CaseFile, MovieSpec, Spec
-from pipeline.case.values import dotted, shown
-from pipeline.errors import CaseError
+from pipeline.case.values import dotted
+from pipeline.errors import CaseError, listed, shown
 
 
 class Case(CaseFile):
@@ -41,8 +41,7 @@ class Case(CaseFile):
     def variant(self, name: str) -> "Case":
         """The case with one variant's overrides applied and no variants. CaseError for an unknown name."""
         if name not in self.variant_names:
-            choices = ", ".join(self.variant_names)
-            raise CaseError(f"{self.path}: no variant {shown(name)}; choose from {choices}")
+            raise CaseError(f"{self.path}: no variant {shown(name)}; choose from {listed(self.variant_names)}")
         document = self._document(written=True)
         document.pop("variants", None)
         document.get("movie", {}).pop("variants", None)

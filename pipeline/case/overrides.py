@@ -4,8 +4,8 @@ import tomllib
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.case.values import dotted, shown
-from pipeline.errors import CaseError
+from pipeline.case.values import dotted
+from pipeline.errors import CaseError, shown
 
 
 def parse_override(text: str) -> tuple[str, object]:

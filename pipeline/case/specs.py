@@ -23,8 +23,8 @@ from pipeline.case.values import (
     entries,
     fault,
     folder_name,
-    shown,
 )
+from pipeline.errors import listed, shown
 
 # A ratio this near to a whole number is meant to be one: 0.3 / 0.1 is not 3 in floating point.
 INTERVAL_RTOL = 1e-9
@@ -280,7 +280,7 @@ class CaseFile(Spec):
         known = tuple(self.variants) or (ONLY_VARIANT,)
         for index, name in enumerate(self.movie.variants):
             if name not in known:
-                message = f"no variant {shown(name)}; choose from {', '.join(known)}"
+                message = f"no variant {shown(name)}; choose from {listed(known)}"
                 raise fault(message, "movie", "variants", str(index))
             if name in self.movie.variants[:index]:
                 raise fault(f"{shown(name)} is listed twice", "movie", "variants", str(index))

@@ -2,18 +2,21 @@
 
 import math
 import re
-from collections.abc import Mapping
+import tomllib
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, PlainValidator
 from pydantic_core import PydanticCustomError
 
+from pipeline.errors import shortened, shown
+
 # Counts and node numbers stay in 32 bits, as they do in VTK files and in compiled kernels.
 LARGEST_INTEGER = 2**31 - 1
-LONGEST_QUOTE = 60
 # Energies multiply six such numbers, which double precision holds.
 LARGEST_NUMBER, SMALLEST_POSITIVE = 1e30, 1e-30
 FOLDER_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
+# what TOML asks for and other languages do not: digits on both sides of a point
+BEFORE_POINT, AFTER_POINT = re.compile(r"(?<![\w.])\.(?=\d)"), re.compile(r"(?<=\d)\.(?!\d)")
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -22,32 +25,27 @@ def fault(message: str, *key: str) -> PydanticCustomError:
     return PydanticCustomError("case", "{message}", {"message": message, "key": key})
 
 
-def shown(value: object) -> str:
-    """A value as a message quotes it: one line, printable, at most 60 characters."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    try:
-        text = repr(dict(value)) if isinstance(value, Mapping) else repr(value)
-    except ValueError:  # an integer beyond Python's limit of digits
-        return "a number of thousands of digits"
-    if len(text) > LONGEST_QUOTE:
-        text = text[: LONGEST_QUOTE - 3] + "..."
-    return text if text.isprintable() else ascii(text)[1:-1]
-
-
 def dotted(parts: tuple[str, ...]) -> str:
     """A key as it is written in TOML: parts joined by dots, quoted where a bare key would not do."""
-    return ".".join(part if BARE_KEY.fullmatch(part) else _quoted(part) for part in parts)
+    return ".".join(shortened(part) if BARE_KEY.fullmatch(part) else f'"{shortened(part)}"' for part in parts)
 
 
-def _quoted(part: str) -> str:
-    text = part if len(part) <= LONGEST_QUOTE else part[: LONGEST_QUOTE - 3] + "..."
-    return f'"{text if text.isprintable() else ascii(text)[1:-1]}"'
+def as_toml(value: object) -> str:
+    """The words "; write ..." for a text that is a number or a list once its points have digits on both sides."""
+    if not isinstance(value, str):
+        return ""
+    text = AFTER_POINT.sub(".0", BEFORE_POINT.sub("0.", value.strip()))
+    try:
+        (meant,) = tomllib.loads(f"value = {text}").values()
+    except (ValueError, RecursionError):
+        return ""
+    finite = isinstance(meant, int | float) and math.isfinite(meant) and not isinstance(meant, bool)
+    return f"; write {shortened(text)}" if finite or isinstance(meant, list) else ""
 
 
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise fault(f"{shown(value)} is not a number")
+        raise fault(f"{shown(value)} is not a number{as_toml(value)}")
     try:
         number = float(value)
     except OverflowError:

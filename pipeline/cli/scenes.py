@@ -122,8 +122,11 @@ def _check(options: argparse.Namespace) -> int:
     case = loaded_case(options)
     problems = {name: build(case.variant(name)) for name in options.variants or case.variant_names}
     found = {name: check(problem) for name, problem in problems.items()}
-    for name, problem in problems.items() if not options.json else ():
-        print(name, *lines(found[name], problem), sep="\n  ")
+    names_of: dict[tuple[str, ...], list[str]] = {}
+    for name, problem in problems.items():
+        names_of.setdefault(tuple(lines(found[name], problem)), []).append(name)
+    for block, names in names_of.items() if not options.json else ():
+        print(", ".join(names), *block, sep="\n  ")
     if options.json:
         finite = {
             name: {key: value if value == value else None for key, value in asdict(one).items()}

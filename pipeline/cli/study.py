@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pipeline.case import Case, load_case, parse_override
 from pipeline.cli.terminal import progress, say
-from pipeline.errors import CaseError, SolveError
+from pipeline.errors import CaseError, SolveError, shown
 
 if TYPE_CHECKING:
     from pipeline.studies.settings import Plan
@@ -105,7 +105,7 @@ def _tradeoff_cases(options: argparse.Namespace) -> list[Case]:
     names = [case.name for case in cases.values()]
     for case in cases.values():
         if names.count(case.name) > 1:
-            raise case.error("name", f"{case.name!r} is the name of another case too: one folder for both")
+            raise case.error("name", f"{shown(case.name)} is the name of another case too: one folder for both")
     return list(cases.values())
 
 
@@ -165,7 +165,8 @@ def _scaling_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cells", metavar="NXxNYxNZ", nargs="+", default=[],
                         help="boxes to try, such as 2x8x2 8x26x8; without them the case's own mesh")  # fmt: skip
     parser.add_argument("--method", dest="methods", metavar="NAME", action="append", default=[],
-                        help="only this; may be repeated: linear, one_solve, auto, converged, explicit")  # fmt: skip
+                        help="only this; may be repeated: linear, one_solve, auto, converged, explicit; felupe, "
+                             "mujoco where they are installed")  # fmt: skip
     parser.add_argument("--rtol", type=float, default=1e-6, metavar="R",
                         help="relative residual of the linear systems (1e-6)")  # fmt: skip
     parser.add_argument("--no-baseline", action="store_true", help="without plain scipy, which takes most of the time")
@@ -195,7 +196,7 @@ def _counts(text: str) -> list[int]:
     try:
         return [int(part) for part in text.split("x")]
     except ValueError:
-        raise CaseError(f"--cells {text}: is not like 8x26x8") from None
+        raise CaseError(f"--cells {shown(text)}: is not like 8x26x8") from None
 
 
 STUDIES: Mapping[str, Study] = {

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from os.path import normpath
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
+from pipeline.errors import shortened
+
 _XML = (".vtu", ".pvtu", ".vtp", ".pvd", ".xdmf", ".xmf")
 _HEAD = 1 << 16
 _PROLOGUE = 1 << 20
@@ -36,7 +38,7 @@ def leaving(name: str) -> str | None:
     inside = normpath(name.replace("\\", "/"))
     absolute = PurePosixPath(name).is_absolute() or PureWindowsPath(name).is_absolute() or PureWindowsPath(name).drive
     if absolute or inside.split("/")[0] == "..":
-        return f"it names a file outside its own folder ({name[:200]}); put it beside its files"
+        return f"it names a file outside its own folder ({shortened(name, 200)}); put it beside its files"
     return None
 
 

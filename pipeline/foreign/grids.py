@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import SeriesError
+from pipeline.errors import SeriesError, shortened
 
 # as in mesh/simplex.py, which costs scipy: a child process that only reads shall start fast
 Floats = NDArray[np.float64]
@@ -90,7 +90,9 @@ def _reader(file: Path) -> tuple[Any, list[str]]:
         ".vtkhdf": vtkIOHDF.vtkHDFReader,
     }
     if file.suffix not in kinds:
-        raise SeriesError(f"{file}: {file.suffix or 'a file without suffix'} is not read; one of {', '.join(kinds)} is")
+        raise SeriesError(
+            f"{file}: {shortened(file.suffix) or 'a file without suffix'} is not read; one of {', '.join(kinds)} is"
+        )
     reader, errors = kinds[file.suffix](), list[str]()
 
     def note(_reader: object, _event: str, text: str) -> None:
@@ -123,7 +125,7 @@ def _heard(errors: list[str]) -> Iterator[None]:
 def _refuse(file: Path, errors: list[str], code: int) -> None:
     if errors or code:
         said = errors[0].rsplit("): ", 1)[-1] if errors else f"error {code} of VTK"
-        raise SeriesError(f"{file}: cannot be read ({said[:200]})")
+        raise SeriesError(f"{file}: cannot be read ({shortened(said, 200)})")
 
 
 def _from_vtk(data: Any, file: Path) -> Grid:
@@ -183,7 +185,9 @@ def _xdmf_grid(file: Path, step: int) -> Grid:
     try:
         _, point_data, cell_data = reader.read_data(step)
     except Exception as error:  # meshio lets through whatever its parsers raise
-        raise SeriesError(f"{file}: step {step} cannot be read ({type(error).__name__}: {error})") from error
+        raise SeriesError(
+            f"{file}: step {step} cannot be read ({type(error).__name__}: {shortened(str(error), 200)})"
+        ) from error
     grid = pyvista.from_meshio(meshio.Mesh(points, cells, point_data, cell_data))
     return _from_vtk(grid, file)
 
@@ -204,7 +208,7 @@ def _xdmf(file: Path, _modified: int) -> tuple[Any, Any, Any, tuple[float, ...]]
         raise SeriesError(f"{file}: its arrays lie in an HDF5 file; pip install {error.name}") from error
     except (Exception, SystemExit) as error:
         words = " ".join(f"{error} {said.getvalue()}".split()) or "not a temporal collection of XDMF 3"
-        raise SeriesError(f"{file}: meshio cannot read it ({type(error).__name__}: {words[:200]})") from error
+        raise SeriesError(f"{file}: meshio cannot read it ({type(error).__name__}: {shortened(words, 200)})") from error
     if moving:
         raise SeriesError(f"{file}: {len(moving)} steps carry a geometry of their own, which meshio cannot read")
     if points.shape[1] == 2:

@@ -2,11 +2,12 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from os.path import isfile  # pathlib's raises where a name is longer than the system allows
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.errors import MeshError
+from pipeline.errors import MeshError, listed, shortened
 from pipeline.foreign.claims import refusal
 from pipeline.foreign.meshes import SIMPLICES, Block
 from pipeline.foreign.reader import READER
@@ -50,8 +51,8 @@ def read_mesh(path: Path, scale: float = 1.0, *, note: Note | None = None) -> Me
 
 def _read(path: Path) -> tuple[Floats, list[Block], str]:
     """Return points, blocks of cells and what meshio would have printed, read in a child process."""
-    if not path.is_file():
-        raise MeshError(f"{path}: no such mesh file")
+    if not isfile(path):
+        raise MeshError(f"{shortened(str(path), 500)}: no such mesh file")
     if not path.stat().st_size:
         raise MeshError(f"{path}: the file is empty")
     if why := refusal(path):
@@ -82,7 +83,7 @@ def _simplices(points: Floats, blocks: Sequence[Block]) -> tuple[Floats, Ints, l
 
 
 def _listed(kinds: Iterable[str]) -> str:
-    return ", ".join(sorted(set(kinds))) or "no cells"
+    return listed(sorted(set(kinds))) or "no cells"
 
 
 def _remedy(kinds: set[str], d: int) -> str:

@@ -25,7 +25,7 @@ from pipeline.reproduction.published import (
     FigureSet,
     Timing,
 )
-from pipeline.reproduction.verdicts import NOT_REPRODUCED, REPRODUCED, Finding, find, outcome
+from pipeline.reproduction.verdicts import NOT_REPRODUCED, OTHER_HARDWARE, REPRODUCED, Finding, find, outcome
 from pipeline.series import Series, read_series
 from pipeline.version import VERSION
 from pipeline.views.blocks import Block, Heading, Paragraph, Picture, Table
@@ -42,18 +42,19 @@ class Report:
     notes: list[str] = field(default_factory=list)
 
     def count(self, kind: str) -> int:
-        """Return how many verdicts are of a kind: reproduced, reproduced with factor, not reproduced."""
+        """Return how many verdicts are of a kind: one of KINDS."""
         return sum(kind_of(verdict) == kind for _, verdict in self.verdicts)
 
 
 def kind_of(verdict: str) -> str:
     """Return the kind of a verdict, without its reason."""
-    if verdict.startswith(NOT_REPRODUCED):
-        return NOT_REPRODUCED
+    for kind in (NOT_REPRODUCED, OTHER_HARDWARE):
+        if verdict.startswith(kind):
+            return kind
     return f"{REPRODUCED} with factor" if "with factor" in verdict else REPRODUCED
 
 
-KINDS = (REPRODUCED, f"{REPRODUCED} with factor", NOT_REPRODUCED)
+KINDS = (REPRODUCED, f"{REPRODUCED} with factor", NOT_REPRODUCED, OTHER_HARDWARE)
 
 
 def make_report(scenes: Mapping[str, Scene], bar: Problem, folder: Path) -> Report:
@@ -97,7 +98,8 @@ def _opening(report: Report, scenes: Mapping[str, Scene]) -> list[Block]:
             "web page (W: corotated finite elements on triangles, symplectic Euler). Every number that they publish "
             "stands below beside ours. **As printed** means: with the parameters that the seed states. **With "
             "factor** means: with one of them multiplied by a number that was fitted to one published value "
-            "and has no derivation."
+            "and has no derivation. **Other hardware** means: what is published depends on the speed of a machine "
+            "that is not ours, so that another result neither confirms nor refutes it."
         ),
         Table(("verdict", "count"), rows, "Published numbers, statements and times"),
         Paragraph(f"Factors: {'; '.join(factors) or 'none'}."),
@@ -138,7 +140,7 @@ def _timed(timing: Timing, ours: Outcome | None) -> tuple[tuple[str, ...], float
         return (*head, "-", "-", "-", f"{NOT_REPRODUCED}: not run"), float("nan")
     times, s = timing.seconds / ours.seconds_per_step, ours.seconds_per_step
     ratio = f"ours is {times:.3g} × as fast" if times >= 1 else f"ours is {1 / times:.3g} × as slow"
-    verdict = f"{NOT_REPRODUCED}: other hardware and software; {ratio}"
+    verdict = f"{OTHER_HARDWARE} and software: {ratio}"
     return (*head, f"{1e3 * s:.3g}", f"{1 / s:.0f}", f"{dt / s:.3g}", verdict), times
 
 

@@ -1,4 +1,4 @@
-"""A published value against ours: reproduced, reproduced with a factor, or not and why."""
+"""A published value against ours: reproduced, reproduced with a factor, or not and why; times are of a machine."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from pipeline.reproduction.measured import Outcome, Scene
 from pipeline.reproduction.published import AS_PRINTED, COUNTED, Number
 
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
+OTHER_HARDWARE = "other hardware"  # of what depends on the speed of a machine: neither of the two
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import SeriesError
+from pipeline.errors import SeriesError, listed, shortened
 from pipeline.measures import AXES, STEPS, VARIABLES, attributes, spatial
 from pipeline.mesh.simplex import Floats
 from pipeline.series.frame_files import Grid
@@ -101,7 +101,9 @@ class Store:
             return spatial(x - layout.mesh.points)
         data = getattr(grid, f"{kind}_data")
         if name not in data:
-            raise SeriesError(f"{self.series.files[index]}: no {kind} field {name}; it has {', '.join(sorted(data))}")
+            raise SeriesError(
+                f"{self.series.files[index]}: no {kind} field {shortened(name)}; it has {listed(sorted(data))}"
+            )
         value: NDArray[Any] = data[name]
         if kind == "point":
             return value if layout.nodes is None else value[layout.nodes]

@@ -1,6 +1,7 @@
 """The files that frames lie in: our own are read here, those of others in a child process that may die."""
 
 from functools import lru_cache
+from os.path import isfile  # pathlib's raises where a name is longer than the system allows
 from pathlib import Path
 
 from pipeline.errors import SeriesError
@@ -28,7 +29,7 @@ def file_times(file: Path) -> list[float] | None:
 
 
 def _check(file: Path) -> None:
-    if not file.is_file():
+    if not isfile(file):
         raise SeriesError(f"{file}: no such file")
     if why := refusal(file):
         raise SeriesError(f"{file}: {why}")
@@ -36,7 +37,7 @@ def _check(file: Path) -> None:
 
 def fault(file: Path) -> str | None:
     """Return what is wrong with a file that is not there, empty or cut off; None where nothing shows."""
-    if not file.is_file():
+    if not isfile(file):
         return "is missing"
     size = file.stat().st_size
     if not size:

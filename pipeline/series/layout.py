@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import MeshError, SeriesError
+from pipeline.errors import MeshError, SeriesError, listed, shortened
 from pipeline.mesh.cleanup import oriented
 from pipeline.mesh.simplex import CELL_NAMES, Floats, Ints, Mesh
 from pipeline.series.frame_files import SUFFIXES, Grid, read_grid
@@ -61,9 +61,10 @@ class Layout:
                 f"{len(self.grid.points)}): the topology changes"
             )
         if self.guessed and not np.array_equal(grid.points, self.grid.points):
+            field = shortened(self.displacement or "")
             raise SeriesError(
                 f"{where}: the points move, unlike those of the first, the middle and the last frame: say whether "
-                f'displacement = "{self.displacement}" has to be added to them, or "none"'
+                f'displacement = "{field}" has to be added to them, or "none"'
             )
         points = deformed(grid, self.displacement, where)
         points = points if self.nodes is None else points[self.nodes]
@@ -91,10 +92,10 @@ def deformed(grid: Grid, displacement: str | None, where: str) -> Floats:
     if displacement is None:
         return grid.points
     if displacement not in grid.point_data:
-        raise SeriesError(f"{where}: no point field {displacement}; it has {_listed(grid.point_data)}")
+        raise SeriesError(f"{where}: no point field {shortened(displacement)}; it has {_listed(grid.point_data)}")
     field = np.asarray(grid.point_data[displacement], dtype=np.float64)
     if field.ndim != 2 or field.shape[1] not in (2, 3):
-        raise SeriesError(f"{where}: the point field {displacement} {field.shape} is no vector field")
+        raise SeriesError(f"{where}: the point field {shortened(displacement)} {field.shape} is no vector field")
     return grid.points + np.pad(field, [(0, 0), (0, 3 - field.shape[1])])
 
 
@@ -202,4 +203,4 @@ def _rest_points(first: Grid, displacement: str | None, options: Options, where:
 
 
 def _listed(names: Iterable[str]) -> str:
-    return ", ".join(sorted(names)) or "none"
+    return listed(sorted(names)) or "none"

@@ -6,10 +6,11 @@ import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from glob import has_magic
+from os.path import exists, isdir  # pathlib's raise where a name is longer than the system allows
 from pathlib import Path
 from typing import NamedTuple
 
-from pipeline.errors import SeriesError
+from pipeline.errors import SeriesError, listed, shortened
 from pipeline.foreign.claims import leaving, refusal
 from pipeline.series.frame_files import SUFFIXES, fault, file_times
 from pipeline.series.own import is_own, unlisted
@@ -75,24 +76,24 @@ def _name(index: Path) -> tuple[str, Path]:
 
 def _resolved(path: Path) -> Path:
     """Return the index in a folder where there is one, else the path itself."""
-    if not path.is_dir():
+    if not isdir(path):
         return path
     for name in _OWN:
         if (path / name).exists():
             return path / name
     found = sorted(file for file in path.iterdir() if file.suffix in (*_INDICES, *_TEMPORAL))
     if len(found) > 1:
-        raise SeriesError(f"{path}: holds several series, name one: {', '.join(file.name for file in found)}")
+        raise SeriesError(f"{path}: holds several series, name one: {listed(file.name for file in found)}")
     return found[0] if found else path
 
 
 def _members(index: Path) -> tuple[list[Member], list[str]]:
-    if index.is_dir():
+    if isdir(index):
         return _numbered(index, (file for file in index.iterdir() if file.suffix in SUFFIXES))
-    if has_magic(str(index)) and not index.exists():
+    if has_magic(str(index)) and not exists(index):
         base = Path(index.anchor) if index.is_absolute() else Path()
         return _numbered(index, base.glob(str(index.relative_to(base) if index.is_absolute() else index)))
-    if not index.exists():
+    if not exists(index):
         raise SeriesError(f"{index}: no series there (No such file or directory)")
     if index.suffix == ".pvd":
         return _indexed(index, _pvd)
@@ -110,7 +111,7 @@ def _indexed(index: Path, parse: Callable[[Path], list[Member]]) -> tuple[list[M
     except OSError as error:
         raise SeriesError(f"{index}: no series there ({error.strerror})") from error
     except (ET.ParseError, KeyError, ValueError, TypeError, AttributeError) as error:
-        raise SeriesError(f"{index}: not a ParaView index: {error}") from error
+        raise SeriesError(f"{index}: not a ParaView index: {shortened(str(error), 200)}") from error
     if not members:
         raise SeriesError(f"{index}: it lists no frame")
     return members, []
@@ -149,7 +150,7 @@ def _numbered(where: Path, found: Iterable[Path]) -> tuple[list[Member], list[st
     for file in files:
         stems[re.sub(r"\d+", "*", file.name)] += 1
     if len(stems) > 1:
-        found_here = ", ".join(f"{stem} ({count})" for stem, count in stems.items())
+        found_here = listed(f"{stem} ({count})" for stem, count in stems.items())
         raise SeriesError(f"{where}: holds several series, give a pattern: {found_here}")
     times = [file_times(file) if fault(file) is None else None for file in files]
     known = [one[0] for one in times if one]
@@ -174,5 +175,5 @@ def _whole(members: list[Member]) -> tuple[list[Member], list[str]]:
     """Return the members whose files are there and whole, and a text for each of the others."""
     faults = {file: fault(file) for file in {member.file for member in members}}
     when = {m: f" at t = {m.time:g} s" if m.time == m.time else "" for m in members}
-    texts = [f"{m.file.name}{when[m]} {faults[m.file]}" for m in members if faults[m.file]]
+    texts = [f"{shortened(m.file.name)}{when[m]} {faults[m.file]}" for m in members if faults[m.file]]
     return [member for member in members if not faults[member.file]], texts

@@ -39,3 +39,8 @@ def damping_ratio(z: float) -> float:
     """Return the damping ratio that backward Euler gives a mode with z = omega dt [1]."""
     decay, turn = log(1 + z * z), 2 * atan(z)
     return decay / hypot(decay, turn)
+
+
+def mode_factor(z: float) -> complex:
+    """Return the factor G of a step on a mode with z = omega dt; an exact step would turn it by e^(i z)."""
+    return 1 / (1 - 1j * z)

@@ -7,6 +7,7 @@ x* = 2 x_n - x_{n-1}, which keeps order 2. On one mode the larger root of (3/2 -
 Not for impacts: it remembers the state before.
 """
 
+from cmath import sqrt
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,3 +59,8 @@ def _onward(now: Floats, before: Floats, part: float, out: Floats) -> Floats:
     out *= part
     out += now
     return out
+
+
+def mode_factor(z: float) -> complex:
+    """Return the factor G of a step on a mode with z = omega dt; an exact step would turn it by e^(i z)."""
+    return 1 / (2 - sqrt(1 + 2j * z))

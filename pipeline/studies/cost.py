@@ -6,6 +6,7 @@ The process prints one line of JSON. Each point has a process of its own, so tha
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from pipeline.build import Problem, build
 from pipeline.case import load_case
 from pipeline.methods import linear_solvers
 from pipeline.stepping.linear_solve import factor_bytes
-from pipeline.stepping.state import Stepper
+from pipeline.stepping.state import Stepper, Work
 from pipeline.stepping.symplectic_euler import element_limit
 from pipeline.studies.plain_scipy import PlainStep
 
@@ -33,7 +34,7 @@ _PLAIN_SUPERLU = 50_000  # cells: above it a factor a step takes minutes
 
 def measured(settings: dict[str, Any]) -> dict[str, Any]:
     """Return the row of one point: see scaling.py for what its columns mean."""
-    problem = _problem(settings)
+    problem = point_problem(settings)
     body, method = problem.body, settings["method"]
     began = time.perf_counter()
     stepper = problem.prepare()
@@ -57,10 +58,11 @@ def measured(settings: dict[str, Any]) -> dict[str, Any]:
         "baseline_ms": _plain(problem) if method == "one_solve" and settings["baseline"] else None,
         "baseline": "plain scipy: the better of SuperLU and Jacobi-CG" if method == "one_solve" else None,
     }
-    return row | {"peak_MB": _peak_megabytes()}
+    return row | {"peak_MB": peak_megabytes()}
 
 
-def _problem(settings: dict[str, Any]) -> Problem:
+def point_problem(settings: dict[str, Any]) -> Problem:
+    """Return the problem of one point: a case, the cells of its mesh, a method and the tolerance of its systems."""
     cells = {"mesh.cells": settings["cells"]} if settings.get("cells") else {}
     keys = METHODS[settings["method"]] | cells | {"method.linear_rtol": settings["rtol"]}
     path, variant = Path(settings["case"]), settings["variant"]
@@ -69,33 +71,50 @@ def _problem(settings: dict[str, Any]) -> Problem:
     return build(load_case(path, overrides=keys).variant(variant))
 
 
+def median_ms(call: Callable[[], object]) -> float:
+    """Return the median milliseconds of a call, the first left out: of the processor's time, on one thread.
+
+    Where others share the core, calls longer than a turn on it would seem slower beside short ones.
+    """
+    call()
+    times: list[float] = []
+    while len(times) < _LEAST_STEPS or (sum(times) < _SECONDS and len(times) < _MOST_STEPS):
+        began = time.process_time()
+        call()
+        times.append(time.process_time() - began)
+    return 1e3 * float(np.median(times))
+
+
 def _timed(stepper: Stepper, problem: Problem) -> tuple[float, float, float]:
     """Return median milliseconds, linear iterations and solves of a step, the first left out."""
-    state, _ = stepper.step(problem.start)
-    times: list[float] = []
-    iterations, solves = [], []
-    while len(times) < _LEAST_STEPS or (sum(times) < _SECONDS and len(times) < _MOST_STEPS):
-        began = time.perf_counter()
+    state, works = problem.start, list[Work]()
+
+    def step() -> None:
+        nonlocal state
         state, work = stepper.step(state)
-        times.append(time.perf_counter() - began)
-        iterations.append(work.linear_iterations)
-        solves.append(work.solves)
-    return 1e3 * float(np.median(times)), float(np.median(iterations)), float(np.median(solves))
+        works.append(work)
+
+    ms = median_ms(step)
+    iterations, solves = ([getattr(work, name) for work in works[1:]] for name in ("linear_iterations", "solves"))
+    return ms, float(np.median(iterations)), float(np.median(solves))
 
 
 def _plain(problem: Problem) -> float:
     """Return the median milliseconds of a step of plain scipy: the better of its direct and its iterative solver."""
     found = []
     for solver in ("cg", "superlu") if len(problem.body.mesh.cells) <= _PLAIN_SUPERLU else ("cg",):
-        stepper = PlainStep(problem.body, problem.dt, solver)
-        x, v = stepper.step(problem.start.x, problem.start.v)
-        times: list[float] = []
-        while len(times) < _LEAST_STEPS or (sum(times) < _SECONDS and len(times) < _MOST_STEPS):
-            began = time.perf_counter()
-            x, v = stepper.step(x, v)
-            times.append(time.perf_counter() - began)
-        found.append(1e3 * float(np.median(times)))
+        found.append(median_ms(_moving(PlainStep(problem.body, problem.dt, solver), problem)))
     return min(found)
+
+
+def _moving(stepper: PlainStep, problem: Problem) -> Callable[[], None]:
+    x, v = problem.start.x, problem.start.v
+
+    def step() -> None:
+        nonlocal x, v
+        x, v = stepper.step(x, v)
+
+    return step
 
 
 def _bytes(problem: Problem, method: str, solves: float, iterations: float, solvers: list[dict[str, str]]) -> float:
@@ -118,7 +137,7 @@ def _bytes(problem: Problem, method: str, solves: float, iterations: float, solv
     return solves * linearised + iterations * matrix + 2 * max(solves, iterations) * factor
 
 
-def _peak_megabytes() -> float | None:
+def peak_megabytes() -> float | None:
     """Return the process' largest memory; None where the system does not tell."""
     try:
         import resource

@@ -2,7 +2,8 @@
 
 bench.json has a row a point: case, method, cells, tets, nodes, dt [s], ms (median of a step), ns_per_tet, solves and
 linear_iterations of a step, setup_s, peak_MB (of a process of its own), linear_solver, bytes (what a step moves at
-least), bound_ms (those over the measured bandwidth), baseline_ms (one corotational solve by plain scipy), error.
+least), bound_ms (those over the measured bandwidth), baseline_ms (one corotational solve by plain scipy), error. Rows
+of other programs (peers.py) have version, ours_ms and differs instead of what they do not tell.
 """
 
 import json
@@ -19,9 +20,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.case import Case
-from pipeline.errors import CaseError, OutputError
+from pipeline.errors import CaseError, OutputError, shown
 from pipeline.sinks.atomic import whole_file, write_whole
 from pipeline.studies.cost import METHODS
+from pipeline.studies.peers import INSTALL, PEERS, available
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _COLOURS = {
     "linear": "#D55E00", "one_solve": "#0072B2", "auto": "#1b1e28", "converged": "#009E73", "explicit": "#CC79A7",
+    "felupe": "#a6761d", "mujoco": "#6a3d9a",
 }  # fmt: skip
 Row = dict[str, Any]
 
@@ -44,7 +47,8 @@ class Scaling:
     def lines(self) -> list[str]:
         """Return the table, a line a point."""
         head = "method         tets   ms a step   ns a tet   iterations   set-up s   peak MB   bound ms   plain scipy"
-        return [head, *map(_line, self.rows)]
+        lines = [head, *(_line(row) for row in self.rows if row["method"] not in PEERS)]
+        return lines + _peer_lines([row for row in self.rows if row["method"] in PEERS])
 
 
 def scaling(
@@ -59,25 +63,33 @@ def scaling(
 ) -> Scaling:
     """Return what steps of cases cost, of boxes with so many `cells` each; writes bench.json and scaling.png to `out`.
 
-    A mesh from a file is taken as it is. Raises CaseError where a method is unknown, OutputError where files cannot be
-    written. A point that fails is a row with its `error`.
+    A mesh from a file is taken as it is. `methods` are names of METHODS and PEERS, by default all of the first and the
+    second where they are installed. Raises CaseError where one is unknown or not installed, OutputError where files
+    cannot be written. A point that fails is a row with its `error`.
     """
-    if unknown := [name for name in methods if name not in METHODS]:
-        raise CaseError(f"--method {unknown[0]}: is not one of {', '.join(METHODS)}")
+    if unknown := [name for name in methods if name not in (*METHODS, *PEERS)]:
+        raise CaseError(f"--method {shown(unknown[0])}: is not one of {', '.join((*METHODS, *PEERS))}")
+    if missing := [name for name in methods if name in PEERS and name not in available()]:
+        raise CaseError(f"--method {missing[0]}: is not installed: {INSTALL}")
     points: list[dict[str, Any]] = []
     for case in cases:
         file = out / "cases" / f"{case.name}.toml"
         write_whole(file, case.to_toml(file.parent))
         point = {"name": case.name, "case": str(file), "variant": _plainest(case), "rtol": rtol, "baseline": baseline}
         meshes = [list(one) for one in cells] if cells and case.mesh.shape else [None]
-        points += [point | {"cells": mesh, "method": name} for mesh in meshes for name in (methods or METHODS)]
+        points += [
+            point | {"cells": mesh, "method": name} for mesh in meshes for name in (methods or (*METHODS, *available()))
+        ]
     rows, bandwidth = [], _bandwidth()
     for index, point in enumerate(points):
         rows.append({"case": point["name"]} | _row(point, bandwidth))
         if on_point is not None:
             on_point(index + 1, len(points))
     machine = {"processor": platform.machine(), "cores": os.cpu_count(), "bandwidth_GB_per_s": bandwidth}
-    said = "one thread; times are medians over steps, writing left out; linear systems to a relative residual of rtol"
+    said = (
+        "one thread; ms is the median processor time of a step, writing left out; linear systems to a relative "
+        "residual of rtol"
+    )
     path = out / "bench.json"
     write_whole(path, json.dumps({"rows": rows, "machine": machine, "rtol": rtol, "note": said}, indent=2) + "\n")
     _figure(rows, out / "scaling.png")
@@ -92,13 +104,15 @@ def _plainest(case: Case) -> str:
 def _row(point: Row, bandwidth: float) -> Row:
     """Return the row of one point, measured in a process of its own on one thread."""
     environment = os.environ | dict.fromkeys(_THREADS, "1")
-    command = [sys.executable, "-m", "pipeline.studies.cost", json.dumps(point)]
+    module = "peers" if point["method"] in PEERS else "cost"
+    command = [sys.executable, "-m", f"pipeline.studies.{module}", json.dumps(point)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         said = (done.stderr.strip().splitlines() or [f"the process ended with {done.returncode}"])[-1]
         return {"method": point["method"], "cells": point["cells"], "error": said}
     row: Row = json.loads(done.stdout)
-    return row | {"bound_ms": row["bytes"] / bandwidth / 1e6, "error": None}
+    bound = {"bound_ms": row["bytes"] / bandwidth / 1e6} if "bytes" in row else {}
+    return row | bound | {"error": None}
 
 
 def _bandwidth() -> float:
@@ -124,6 +138,25 @@ def _line(row: Row) -> str:
     )
 
 
+def _peer_lines(rows: Sequence[Row]) -> list[str]:
+    """Return the table of other programs, what differs, and which could be installed."""
+    missing = [name for name in PEERS if name not in available()]
+    lines = [f"not compared with {', '.join(missing)}: {INSTALL}"] if missing else []
+    if not rows:
+        return lines
+    lines = ["other programs     tets         ms   ns a tet   set-up s   ours ms", *map(_peer_line, rows), *lines]
+    return lines + [f"{name}: {peer.differs}" for name, peer in PEERS.items() if any(r["method"] == name for r in rows)]
+
+
+def _peer_line(row: Row) -> str:
+    if row["error"]:
+        return f"{row['method']:<10} {row['cells']}: {row['error']}"
+    return (
+        f"{row['method'] + ' ' + row['version']:<14} {row['tets']:8d} {row['ms']:10.3f} {row['ns_per_tet']:10.0f} "
+        f"{row['setup_s']:10.3f} {row['ours_ms']:9.3f} ({row['ms'] / row['ours_ms']:.1f} x)"
+    )
+
+
 def _figure(rows: Sequence[Row], path: Path) -> None:
     """Write the cost of a step against the size of the mesh, both logarithmic; raises OutputError."""
     from matplotlib import rc_context
@@ -141,7 +174,8 @@ def _figure(rows: Sequence[Row], path: Path) -> None:
         figure.set_layout_engine("constrained")
         axes = figure.subplots()
         for method, colour in _COLOURS.items():
-            _draw(axes, [row for row in good if row["method"] == method], method, colour)
+            label = f"{method}, {PEERS[method].what}" if method in PEERS else method
+            _draw(axes, [row for row in good if row["method"] == method], label, colour)
         axes.set(xscale="log", yscale="log", xlabel="tetrahedra", ylabel="ms a step")
         title = "Cost of a step; dotted: what the bandwidth allows, dashed: plain scipy"
         axes.set_title(title, loc="left", fontsize=10)
@@ -151,13 +185,14 @@ def _figure(rows: Sequence[Row], path: Path) -> None:
             figure.savefig(hidden, metadata={"Software": None})
 
 
-def _draw(axes: "Axes", rows: Sequence[Row], method: str, colour: str) -> None:
+def _draw(axes: "Axes", rows: Sequence[Row], label: str, colour: str) -> None:
     if not rows:
         return
     rows = sorted(rows, key=lambda row: int(row["tets"]))
     tets = [row["tets"] for row in rows]
-    axes.plot(tets, [row["ms"] for row in rows], "o-", color=colour, label=method)
-    axes.plot(tets, [row["bound_ms"] for row in rows], ":", color=colour)
-    plain = [(row["tets"], row["baseline_ms"]) for row in rows if row["baseline_ms"]]
+    axes.plot(tets, [row["ms"] for row in rows], "o-", color=colour, label=label)
+    if "bound_ms" in rows[0]:
+        axes.plot(tets, [row["bound_ms"] for row in rows], ":", color=colour)
+    plain = [(row["tets"], row["baseline_ms"]) for row in rows if row.get("baseline_ms")]
     if plain:
         axes.plot(*zip(*plain, strict=True), "s--", color="#7d8597", label="one_solve, plain scipy")
