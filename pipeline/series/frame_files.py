@@ -1,4 +1,4 @@
-"""The files that frames lie in: our own are read here, those of others in a child process that may die."""
+"""The files that frames lie in: inline .vtu and our own are read here, the others in a child process that may die."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +14,8 @@ __all__ = ["SUFFIXES", "Grid", "fault", "file_times", "read_grid"]
 
 def read_grid(file: Path, step: int = 0, *, ours: bool = False) -> Grid:
     """Return one instant of a file; raises SeriesError where it cannot be read or is no unstructured grid."""
+    if (grid := grids.inline_grid(file)) is not None:
+        return grid
     if ours:
         return grids.read_grid(file, step)
     _check(file)
