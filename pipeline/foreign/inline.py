@@ -2,7 +2,7 @@
 
 VTK reads these too, but all arrays of a file or none, at the price of loading VTK. Here an array is decoded when it is
 asked for, and cells that are spelt like those of the frame before are not decoded at all. What is written in any other
-way (appended, ASCII, several pieces, text arrays, ghost cells, polyhedra), or does not add up, is left to VTK. Nothing
+way (appended, ASCII, several pieces, ghost cells, polyhedra), or does not add up, is left to VTK. Nothing
 but Python and numpy handles the bytes: a damaged file cannot take the process along.
 """
 
@@ -104,10 +104,20 @@ def unpacked(one: Packed, file: Path, name: str) -> NDArray[Any]:
             data = b"".join(_inflated(data[a:b], n) for a, b, n in zip(starts, ends, one.sizes, strict=True))
         else:
             data = data[-one.nbytes :]
+        if one.dtype == "S":
+            return _texts(data, one.shape[0])
         plain = np.frombuffer(data, dtype=one.dtype).reshape(one.shape)
     except (ValueError, zlib.error) as error:
         raise SeriesError(f"{file}: cannot be read (the array {name}: {error})") from error
     return plain.astype(plain.dtype.newbyteorder("="))
+
+
+def _texts(data: bytes, count: int) -> NDArray[Any]:
+    """Return texts, each of which ends with a zero; raises ValueError where there are not so many."""
+    *texts, rest = data.split(b"\0")
+    if rest or len(texts) != count:
+        raise ValueError(f"{len(texts)} texts, not {count}")
+    return np.array([text.decode() for text in texts])
 
 
 def _inflated(block: bytes, size: int) -> bytes:
@@ -176,9 +186,10 @@ def _packed(array: ElementTree.Element, tuples: int | None, way: _Way) -> Packed
     """Return an array with its sizes checked; `tuples` is how many it must have, None for any number."""
     if array.tag != "DataArray" or array.attrib["format"] != "binary" or len(array):
         raise _NotInlineError
+    sizes, packed, text = _blocks((array.text or "").strip(), way)
+    if array.attrib["type"] == "String" and tuples:
+        return Packed("S", (tuples,), sizes, packed, text)
     dtype = way.order + _TYPES[array.attrib["type"]]
-    text = (array.text or "").strip()
-    sizes, packed, text = _blocks(text, way)
     components = int(array.get("NumberOfComponents", 1))
     item = int(dtype[2:]) * components
     if tuples is None:

@@ -213,7 +213,7 @@ def _frames(store: Store, kind: str, name: str) -> Any:
             return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER, self._read)
 
         def _read(self, key: tuple[Any, ...]) -> NDArray[Any]:
-            frames, part = np.arange(self.shape[0])[key[0]], _part(key[1:])
+            frames, part = np.arange(self.shape[0])[key[0]], _part(key[1:], sample.shape)
             if frames.ndim == 0:
                 return np.array(part(self._one(int(frames))))
             out = np.empty((len(frames), *part(sample).shape), dtype=sample.dtype)
@@ -230,14 +230,10 @@ def _frames(store: Store, kind: str, name: str) -> Any:
     return Frames()
 
 
-def _part(key: tuple[Any, ...]) -> Callable[[NDArray[Any]], NDArray[Any]]:
+def _part(key: tuple[Any, ...], shape: tuple[int, ...]) -> Callable[[NDArray[Any]], NDArray[Any]]:
     """Return what takes the part of a frame that a key names, each axis by itself (xarray's outer indexing)."""
     if all(isinstance(k, slice | int | np.integer) for k in key):
         return lambda frame: np.asarray(frame[key])
-
-    def chosen(frame: NDArray[Any]) -> NDArray[Any]:
-        single = tuple(i for i, k in enumerate(key) if isinstance(k, int | np.integer))
-        each = ([k] if i in single else np.arange(n)[k] for i, (n, k) in enumerate(zip(frame.shape, key, strict=True)))
-        return np.asarray(frame[np.ix_(*each)].squeeze(axis=single))
-
-    return chosen
+    single = tuple(i for i, k in enumerate(key) if isinstance(k, int | np.integer))
+    each = np.ix_(*([k] if i in single else np.arange(n)[k] for i, (n, k) in enumerate(zip(shape, key, strict=True))))
+    return lambda frame: np.asarray(frame[each].squeeze(axis=single))

@@ -2,6 +2,7 @@
 
 from functools import lru_cache
 from pathlib import Path
+from stat import S_ISREG
 
 from pipeline.errors import SeriesError
 from pipeline.foreign import grids
@@ -24,6 +25,9 @@ def read_grid(file: Path, step: int = 0, *, ours: bool = False) -> Grid:
 
 def file_times(file: Path) -> list[float] | None:
     """Return the times [s] that a file knows of itself, None where it says nothing; raises SeriesError."""
+    if (grid := grids.inline_grid(file)) is not None:
+        told = grid.field_data.get("TimeValue")
+        return None if told is None else [float(time) for time in told.ravel()]
     _check(file)
     times: list[float] | None = READER.read("pipeline.foreign.grids:file_times", file, error=SeriesError)
     return times
@@ -38,13 +42,17 @@ def _check(file: Path) -> None:
 
 def fault(file: Path) -> str | None:
     """Return what is wrong with a file that is not there, empty or cut off; None where nothing shows."""
-    if not file.is_file():
+    try:
+        found = file.stat()
+    except OSError:
         return "is missing"
-    size = file.stat().st_size
+    if not S_ISREG(found.st_mode):
+        return "is missing"
+    size = found.st_size
     if not size:
         return "is empty"
     if file.suffix in (".vtu", ".pvtu", ".vtp"):
-        with file.open("rb") as opened:
+        with open(file, "rb", buffering=0) as opened:
             opened.seek(max(0, size - 200))
             return None if b"</VTKFile>" in opened.read() else "is cut off: it does not end with </VTKFile>"
     if file.suffix == ".vtk":  # nothing at its end tells
