@@ -241,7 +241,7 @@ def test_an_index_outside_its_folder_is_refused(tmp_path):
 
 
 def test_a_file_that_kills_its_reader_is_one_line(tmp_path, capfd, monkeypatch):
-    grid_at(0).save(tmp_path / "f0.vtu")
+    grid_at(0).save(tmp_path / "f0.vtu", binary=False)  # for VTK to read
     (tmp_path / "bad.py").write_text(BAD)
     monkeypatch.syspath_prepend(tmp_path)
     genuine, own = Reader.read, Reader()

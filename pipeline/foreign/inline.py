@@ -85,7 +85,7 @@ class _NotInlineError(Exception):
 
 
 def inline_file(file: Path) -> Inline | None:
-    """Return what an inline .vtu says, None for every other file; raises SeriesError where cells make no sense."""
+    """Return what an inline .vtu says, None for every other file."""
     try:
         return _read(file)
     except (_NotInlineError, ElementTree.ParseError, struct.error, OSError, ValueError, KeyError, AttributeError):
@@ -161,7 +161,10 @@ def _read(file: Path) -> Inline:
         raise _NotInlineError
     if found.keys() != {"connectivity", "offsets", "types"} or "vtkGhostType" in of_cells:
         raise _NotInlineError
-    cells = _cells(found["types"], found["offsets"], found["connectivity"], *counts.values())
+    try:
+        cells = _cells(found["types"], found["offsets"], found["connectivity"], *counts.values())
+    except SeriesError as error:
+        raise _NotInlineError from error
     return Inline(points, cells, (Arrays(file, of_points), Arrays(file, of_cells), Arrays(file, whole)))
 
 
@@ -184,11 +187,14 @@ class _Way(NamedTuple):
 
 def _packed(array: ElementTree.Element, tuples: int | None, way: _Way) -> Packed:
     """Return an array with its sizes checked; `tuples` is how many it must have, None for any number."""
-    if array.tag != "DataArray" or array.attrib["format"] != "binary" or len(array):
+    text = array.tag == "Array" and array.attrib["type"] == "String"
+    if (array.tag != "DataArray" and not text) or array.attrib["format"] != "binary":
         raise _NotInlineError
-    sizes, packed, text = _blocks((array.text or "").strip(), way)
-    if array.attrib["type"] == "String" and tuples:
-        return Packed("S", (tuples,), sizes, packed, text)
+    if any(child.tag != "InformationKey" for child in array):  # ranges that VTK adds behind the numbers
+        raise _NotInlineError
+    sizes, packed, numbers = _blocks((array.text or "").strip(), way)
+    if text and tuples:
+        return Packed("S", (tuples,), sizes, packed, numbers)
     dtype = way.order + _TYPES[array.attrib["type"]]
     components = int(array.get("NumberOfComponents", 1))
     item = int(dtype[2:]) * components
@@ -196,7 +202,7 @@ def _packed(array: ElementTree.Element, tuples: int | None, way: _Way) -> Packed
         tuples = sum(sizes) // item
     if sum(sizes) != tuples * item or not sum(sizes):
         raise _NotInlineError
-    return Packed(dtype, (tuples,) if components == 1 else (tuples, components), sizes, packed, text)
+    return Packed(dtype, (tuples,) if components == 1 else (tuples, components), sizes, packed, numbers)
 
 
 def _blocks(text: str, way: _Way) -> tuple[tuple[int, ...], tuple[int, ...], str]:
