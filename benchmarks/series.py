@@ -3,12 +3,14 @@
     python benchmarks/series.py SERIES.pvd --theirs VENV/bin/python [--repeats 5]
 
 ogstools lives in an environment of its own (python -m venv VENV; VENV/bin/pip install ogstools). Every figure is of a
-process of its own that imports, opens, asks once (seconds, and the peak of memory of the whole process) and asks again
-(what is kept counts then). Medians over the repeats; a sum over the answer shows that both gave the same.
+process of its own that imports, opens, asks once (seconds of processor, and the peak of memory of the whole process)
+and asks again (what is kept counts then). Medians over the repeats; a sum over the answer shows that both gave the
+same. Seconds of processor, as others may be at work on the machine; nothing here runs in parallel.
 """
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -28,7 +30,7 @@ def ours(path: Path, folder: Path) -> tuple[float, dict[str, Callable[[], Any]]]
     import numpy as np
     import xarray
 
-    done, ds = time.perf_counter(), xarray.open_dataset(path)
+    done, ds = time.process_time(), xarray.open_dataset(path)
     t = ds.time.values
     between, probes = _between(t), _probes(ds.rest_position.values, ds.connectivity.values)
     return done, {
@@ -55,7 +57,7 @@ def theirs(path: Path, folder: Path) -> tuple[float, dict[str, Callable[[], Any]
     import ogstools
     from ogstools.mesh.differences import difference
 
-    done, ms = time.perf_counter(), ogstools.MeshSeries(path)
+    done, ms = time.process_time(), ogstools.MeshSeries(path)
     t, first = ms.timevalues, ms[0]
     between, probes = _between(t), _probes(first["rest_position"], first.cells_dict[10])
     whole = ogstools.MeshSeries.difference
@@ -103,15 +105,15 @@ def child(library: str, task: str, path: Path) -> None:
     """Print what one task took in this process, as JSON."""
     import resource
 
-    start = time.perf_counter()
+    start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         imported, tasks = LIBRARIES[library](path, Path(folder))
-        opened = time.perf_counter()
+        opened = time.process_time()
         seconds, answer = [], 0.0
         for _ in range(2):
-            began = time.perf_counter()
+            began = time.process_time()
             answer = float(tasks[task]())
-            seconds.append(time.perf_counter() - began)
+            seconds.append(time.process_time() - began)
             if len(seconds) == 1:
                 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         peak += resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
@@ -122,9 +124,10 @@ def child(library: str, task: str, path: Path) -> None:
 def measured(python: str, library: str, task: str, path: Path, repeats: int) -> dict[str, float]:
     """Return the medians of a task over processes of their own."""
     command = [python, __file__, str(path), "--child", library, task]
+    one_thread = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     rows = []
     for _ in range(repeats):
-        run = subprocess.run(command, capture_output=True, text=True, check=False)
+        run = subprocess.run(command, capture_output=True, text=True, check=False, env=one_thread)
         if run.returncode:
             raise SystemExit(f"{library}, {task}: {run.stderr[-2000:]}")
         rows.append(json.loads(run.stdout.splitlines()[-1]))
