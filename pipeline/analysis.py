@@ -18,6 +18,7 @@ from pipeline.measures import AXES, QUANTILES, VARIABLES, attributes
 from pipeline.mesh.simplex import Floats
 from pipeline.run import record
 from pipeline.series import Series, read_series
+from pipeline.series.apart import Apart, write_apart
 from pipeline.sinks.atomic import whole_file
 from pipeline.sinks.netcdf import NetcdfSink
 
@@ -57,6 +58,7 @@ class Comparison:
     made: tuple[Path, ...]
     notes: tuple[str, ...]
     analyses: tuple[Analysis, ...]
+    apart: tuple[Apart, ...] = ()  # the nodes of each but the first, where differences were asked for
 
 
 def analyze(
@@ -94,7 +96,8 @@ def compare(
 
     The dataset joins them along `method`. Where their times differ, numbers are interpolated linearly to those of
     the series with the fewest frames, within the time that all cover. Numbers a cell need the same cells in all;
-    `difference` adds their difference to the first series, and raises SeriesError where the cells differ.
+    `difference` adds their difference to the first series, those of the nodes (displacement, velocity, distances) and
+    distance.png, and raises SeriesError where the cells differ.
     """
     named = _distinct([one if isinstance(one, Series) else read_series(one) for one in sources])
     same = _same_cells(named, difference=difference)
@@ -106,14 +109,19 @@ def compare(
     rows = [analysis.made[0] for analysis in analyses]
     with whole_file(path) as hidden, ExitStack() as opened:
         _write_comparison(hidden, [_Rows(p, opened) for p in rows], named, times, difference=difference, same=same)
+        apart = _write_apart(hidden, named, times, on_frame) if difference else ()
     made = [path]
     if same:
         made.append(_figure(path, out / "volume.png", [one.name for one in named], _title(named), notes))
     else:
         notes.append("the cells differ: comparison.nc has the numbers of whole bodies only")
+    if difference:
+        made.append(_distances(path, out / "distance.png", _title(named)))
+        if said:
+            notes.append("nodes between two frames of a series are on the chord between them")
     if movie:
         made += _movie(named, [one.name for one in named], out / "movie.mp4", notes, on_drawing)
-    return Comparison(out, tuple(made), tuple(notes), analyses)
+    return Comparison(out, tuple(made), tuple(notes), analyses, apart)
 
 
 class _Steady:
@@ -229,6 +237,18 @@ def _write_comparison(
                     out[f"{name}_difference"][m, k] = row[name] - first[name]
 
 
+def _write_apart(path: Path, series: list[Series], times: Floats, on_frame: OnFrame | None) -> tuple[Apart, ...]:
+    """Add how far the nodes are apart to the dataset."""
+    import netCDF4
+
+    def told(done: int, count: int) -> None:
+        if on_frame is not None:
+            on_frame("difference of nodes", done, count)
+
+    with netCDF4.Dataset(path, "a") as out:
+        return write_apart(out, series, times, told)
+
+
 def _create(
     out: Any, names: list[str], rows: list[_Rows], series: list[Series], times: Floats, *, difference: bool
 ) -> None:
@@ -282,6 +302,17 @@ def _figure(path: Path, picture: Path, methods: list[str], title: str, notes: li
         if "method" not in dataset.dims:  # after the choice: this reads all that it is given
             shown = shown.assign(volume_ratio=shown["volume_ratio"].expand_dims(method=methods))
         volume_figure(shown, picture, title=title)
+    return picture
+
+
+def _distances(path: Path, picture: Path, title: str) -> Path:
+    """Draw how far the nodes are from those of the first series."""
+    import xarray
+
+    from pipeline.views.plots import distance_figure
+
+    with xarray.open_dataset(path, engine="netcdf4") as dataset:
+        distance_figure(dataset[["node_distance_worst", "node_distance_rms"]], picture, title=title)
     return picture
 
 

@@ -82,12 +82,26 @@ def report_of_analysis(found: Analysis | Comparison, series: Sequence[Series], c
         for one, source in zip(analyses, series, strict=True)
     )
     movie, poster = (found.folder / f"movie.{ending}" for ending in ("mp4", "png"))
-    closing: list[Block] = [Heading(_AGAIN), Listing(command), Paragraph(f"Measured by pipeline {VERSION}.")]
+    closing: list[Block] = _apart(found) if isinstance(found, Comparison) else []
+    closing += [Heading(_AGAIN), Listing(command), Paragraph(f"Measured by pipeline {VERSION}.")]
     result = Result(
         ", ".join(side.label for side in sides), sides, closing, found.notes,
         movie if movie in found.made else None, poster if poster in found.made else None,
     )  # fmt: skip
     return write_page(result, found.folder / REPORT)
+
+
+def _apart(found: Comparison) -> list[Block]:
+    """Return how far the nodes are from those of the first series, where that was asked for."""
+    if not found.apart:
+        return []
+    head = ("series", "worst node [m]", "which", "at t [s]", "largest RMS [m]", "at t [s]")
+    rows = [
+        (one.name, f"{one.worst:.4g}", str(one.node), f"{one.time:.4g}", f"{one.rms:.4g}", f"{one.rms_time:.4g}")
+        for one in found.apart
+    ]
+    text = f"How far the nodes are from those of {found.analyses[0].name}; distance.png has it over time."
+    return [Heading("Difference of nodes"), Paragraph(text), Table(head, rows)]
 
 
 def _facts(run: Mapping[str, Any]) -> dict[str, str]:

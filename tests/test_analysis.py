@@ -88,7 +88,7 @@ def test_series_side_by_side(tmp_path):
     a = series_at(tmp_path / "a", TIMES, "a")
     b = series_at(tmp_path / "b", TIMES, "a", grow=lambda t: 2 * t)
     result = compare([a, b], tmp_path / "out", difference=True)
-    assert [path.name for path in result.made] == ["comparison.nc", "volume.png"]
+    assert [path.name for path in result.made] == ["comparison.nc", "volume.png", "distance.png"]
     with xarray.open_dataset(result.made[0]) as dataset:
         assert_conventional(dataset)
         assert dataset["method"].values.tolist() == ["a", "a_2"]
@@ -105,6 +105,60 @@ def test_series_side_by_side(tmp_path):
         expected = (1 + GROWTH * 2 * TIMES[2]) ** 3 - (1 + GROWTH * TIMES[2]) ** 3
         assert dataset["volume_ratio_difference"].values[1, 2] == pytest.approx(expected)
         assert (dataset["volume_ratio_difference"].values[0] == 0).all()
+
+
+def swinging(folder, times, name, grow, velocity=None):
+    """A series of deformed points with a velocity; nodes that no cell names come first."""
+    folder.mkdir()
+    for i, t in enumerate(times):
+        grid = pyvista.UnstructuredGrid({10: CELLS + 2}, np.vstack([np.full((2, 3), 9.0), moved(grow(t))]))
+        if velocity:
+            grid.point_data["velocity"] = np.full((grid.n_points, 3), velocity(t))
+        grid.save(folder / f"f{i}.vtu")
+    return read_series(pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(times)]), name=name)
+
+
+def test_differences_of_the_nodes(tmp_path):
+    a = swinging(tmp_path / "a", TIMES, "a", lambda t: t, lambda t: 1 + t)
+    b = swinging(tmp_path / "b", TIMES, "b", lambda t: t * (0.25 - t) * 30, lambda t: 1 + 3 * t)
+    c = swinging(tmp_path / "c", TIMES, "c", lambda t: 2 * t)
+    seen = []
+    result = compare([a, b, c], tmp_path / "out", difference=True, on_frame=lambda *args: seen.append(args))
+    assert seen[-3:] == [("difference of nodes", k, 3) for k in (1, 2, 3)]
+    far = np.linalg.norm(POINTS, axis=1)
+    with xarray.open_dataset(result.made[0]) as dataset:
+        assert_conventional(dataset)
+        apart = dataset["displacement_difference"]
+        assert apart.dims == ("method", "time", "node", "axis") and apart.attrs["units"] == "m"
+        assert (apart[0] == 0).all()
+        assert apart[1, 1].values == pytest.approx(GROWTH * (0.45 - 0.1) * POINTS)
+        assert apart[2].values == pytest.approx(np.stack([GROWTH * t * POINTS for t in TIMES]), abs=1e-14)
+        assert dataset["velocity_difference"][1, :, 3, 0].values == pytest.approx([0, 0.2, 0.5])
+        assert dataset["velocity_difference"][2].isnull().all()
+        worst, rms = dataset["node_distance_worst"], dataset["node_distance_rms"]
+        assert worst[1].values == pytest.approx([0, GROWTH * 0.35 * far.max(), GROWTH * 0.25 * far.max()])
+        assert rms[2].values == pytest.approx([GROWTH * t * np.sqrt(np.mean(far**2)) for t in TIMES])
+    assert [one.name for one in result.apart] == ["b", "c"]
+    one = result.apart[0]
+    assert one.worst == pytest.approx(GROWTH * 0.35 * far.max()) and one.node == far.argmax() + 2
+    assert (one.time, one.rms_time) == (0.1, 0.1) and one.rms == pytest.approx(one.worst * rms[1, 1] / worst[1, 1])
+    without = compare([a, b], tmp_path / "without")
+    assert without.apart == ()
+    with xarray.open_dataset(without.made[0]) as dataset:
+        assert "node" not in dataset.dims
+
+
+def test_differences_of_nodes_between_frames(tmp_path, monkeypatch):
+    without_figures(monkeypatch)
+    a = swinging(tmp_path / "a", [0.0, 0.3, 0.9], "a", lambda t: t, lambda t: t)
+    b = swinging(tmp_path / "b", [0.0, 0.1 + 0.2, 0.6, 0.8, 1.2], "b", lambda t: t, lambda t: t**2)
+    result = compare([b, a], tmp_path / "out", difference=True)
+    assert any("on the chord" in note for note in result.notes)
+    with xarray.open_dataset(result.made[0]) as dataset:
+        assert dataset["time"].values == pytest.approx([0, 0.3, 0.9])
+        assert dataset["node_distance_worst"].values == pytest.approx(0, abs=1e-14)
+        chord = 0.75 * 0.8**2 + 0.25 * 1.2**2
+        assert dataset["velocity_difference"][1, :, 0, 0].values == pytest.approx([0, 0.3 - 0.3**2, 0.9 - chord])
 
 
 def test_other_times_are_interpolated_and_that_is_said(tmp_path, monkeypatch):

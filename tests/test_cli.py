@@ -406,5 +406,8 @@ def test_a_series_is_measured_and_compared_from_the_command_line(tmp_path, capsy
     assert (tmp_path / "one" / "statistics.nc").is_file()
     assert main(["compare", first, second, "--difference", "--out", str(tmp_path / "two"), "--quiet"]) == 0
     assert capsys.readouterr().out == ""
+    assert main(["compare", first, second, "--difference", "--out", str(tmp_path / "two")]) == 0
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert re.fullmatch(r"polar: nodes up to \S+ m \(node \d+, t = \S+ s\) from linear; RMS up to \S+ m", said)
     assert main(["analyze", str(tmp_path / "nothing.pvd")]) == 2
     assert capsys.readouterr().err.count("\n") == 1

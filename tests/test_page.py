@@ -230,7 +230,10 @@ def test_the_page_of_anybodys_series(folder, tmp_path, monkeypatch, capsys):
     assert data_of(text)["labels"] == ["</script><i>name"] and Reader(text).wrong == [] and "<i>" not in text
     two = [one, read_series(folder / "polar", name="linear")]
     text = report_of_analysis(compare(two, tmp_path / "two"), two, "").read_text(encoding="utf-8")
-    assert data_of(text)["labels"] == ["linear", "linear_2"]
+    assert data_of(text)["labels"] == ["linear", "linear_2"] and "Difference of nodes" not in text
+    found = compare(two, tmp_path / "apart", difference=True)
+    text = report_of_analysis(found, two, "").read_text(encoding="utf-8")
+    assert "from those of linear" in text and f">{found.apart[0].worst:.4g}</td>" in text
     out = (tmp_path / "three").as_posix()
     source = (folder / "linear").as_posix()
     assert main(["analyze", source, "--report", "--rest", "rest_position", "--out", out]) == 0

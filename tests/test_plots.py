@@ -5,7 +5,7 @@ import pytest
 import xarray
 
 from pipeline.errors import OutputError
-from pipeline.views.plots import energy_figure, volume_figure
+from pipeline.views.plots import distance_figure, energy_figure, volume_figure
 
 
 def dataset(cells=40, methods=("linear", "polar"), times=30) -> xarray.Dataset:
@@ -100,3 +100,18 @@ def test_one_instant(tmp_path):
     volume_figure(dataset(times=1), tmp_path / "volume.png", title="Bar")
     energy_figure(dataset(times=1), tmp_path / "energy.png", title="Bar")
     assert (tmp_path / "energy.png").stat().st_size > 5000
+
+
+def test_distance_figure_has_a_panel_for_each_but_the_first(tmp_path):
+    t = np.linspace(0, 3, 30)
+    distance = np.stack([0 * t, t, 1 - np.cos(t)])
+    data = {
+        "node_distance_worst": (("method", "time"), distance),
+        "node_distance_rms": (("method", "time"), distance / 2),
+    }
+    apart = xarray.Dataset(data, coords={"method": ["a", "b", "c"], "time": t})
+    distance_figure(apart, tmp_path / "three.png", title="a, b and c")
+    distance_figure(apart.isel(method=[0, 1]), tmp_path / "two.png", title="a and b")
+    three, two = pixels(tmp_path / "three.png"), pixels(tmp_path / "two.png")
+    assert three.shape[1] > two.shape[1]
+    assert coloured(three, warm=True) > coloured(two, warm=True) > 300 and coloured(two, warm=False) > 300

@@ -29,7 +29,9 @@ def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
 
     many = verbs.add_parser("compare", parents=[common, foreign], help="measure series side by side")
     many.add_argument("series", metavar="SERIES", nargs="+", help="two and more of what analyze takes")
-    many.add_argument("--difference", action="store_true", help="differences to the first; needs the same cells")
+    many.add_argument(
+        "--difference", action="store_true", help="differences to the first, of cells and nodes; needs the same cells"
+    )
     many.set_defaults(run=_compare)
 
 
@@ -69,6 +71,9 @@ def _compare(options: argparse.Namespace) -> int:
         say(f"note: {note}")
     if not options.quiet:
         print(*found.made, sep="\n")
+        for one in found.apart:
+            worst = f"{one.worst:.4g} m (node {one.node}, t = {one.time:.4g} s)"
+            print(f"{one.name}: nodes up to {worst} from {found.analyses[0].name}; RMS up to {one.rms:.4g} m")
     _report(options, found, series, ["compare", *options.series])
     return 0
 

@@ -16,6 +16,7 @@ _POINT_BYTES, _CELL_BYTES = 12, 9  # three single numbers; a type, an offset and
 _PIECE = re.compile(rb"<Piece\b[^>]*>")
 _LEGACY = re.compile(rb"^\s*(POINTS)\s+(\d+)", re.MULTILINE)
 _HDF = re.compile(rb'Format="HDF"[^>]*>\s*([^<:]+):')
+_OTHER_ROOTS = frozenset("\\:")  # without these a name has no root but /
 _SOURCE = re.compile(rb'<Piece\b[^>]*\bSource="([^"]*)"')
 
 
@@ -36,6 +37,8 @@ def refusal(file: Path) -> str | None:
 def leaving(name: str) -> str | None:
     """Return what is wrong with the name that a file gives of another one, which must lie in or below its folder."""
     inside = normpath(name.replace("\\", "/"))
+    if not _OTHER_ROOTS.intersection(name) and inside[0] != "/" and inside.split("/")[0] != "..":
+        return None  # what an index of thousands of frames says
     absolute = PurePosixPath(name).is_absolute() or PureWindowsPath(name).is_absolute() or PureWindowsPath(name).drive
     if absolute or inside.split("/")[0] == "..":
         return f"it names a file outside its own folder ({shortened(name, 200)}); put it beside its files"

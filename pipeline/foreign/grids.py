@@ -5,7 +5,7 @@ VTK's errors become a SeriesError; nothing is printed.
 
 import contextlib
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -15,26 +15,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import SeriesError, shortened
+from pipeline.foreign.inline import Arrays, inline_file, unpacked
 
 # as in mesh/simplex.py, which costs scipy: a child process that only reads shall start fast
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _CORNERS = {10: 4, 5: 3}  # of VTK's tetrahedron and triangle, the cells that are measured
 SUFFIXES = (".vtu", ".pvtu", ".vtk", ".vtp")  # of files that hold one instant
-Arrays = Mapping[str, NDArray[Any]]
+Fields = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Points (n, 3), cells in VTK's way (types, offsets, connectivity) and the fields of one instant."""
+    """Points (n, 3), cells in VTK's way (types, offsets, connectivity) and the fields of one instant.
 
-    points: Floats
+    Points that are given as a function are read when they are asked for; `count` is their number.
+    """
+
+    located: Floats | Callable[[], Floats]
+    count: int
     types: NDArray[np.uint8]
     offsets: Ints
     connectivity: Ints
-    point_data: Arrays
-    cell_data: Arrays
-    field_data: Arrays
+    point_data: Fields
+    cell_data: Fields
+    field_data: Fields
+
+    @property
+    def points(self) -> Floats:
+        """Return the points (n, 3)."""
+        return self.located() if callable(self.located) else self.located
+
+    @property
+    def nbytes(self) -> int:
+        """Return how many bytes its fields hold."""
+        fields = (self.point_data, self.cell_data, self.field_data)
+        return sum(f.nbytes if isinstance(f, Arrays) else sum(a.nbytes for a in f.values()) for f in fields)
 
     def cells(self, kind: int, corners: int) -> Ints:
         """Return the cells of one VTK type (e, corners)."""
@@ -44,7 +60,21 @@ class Grid:
 
 def plain_grid(file: Path, step: int) -> tuple[Any, ...]:
     """Return the fields of read_grid's Grid: what a child process can send."""
-    return tuple(vars(read_grid(file, step)).values())
+    grid = read_grid(file, step)
+    fields = (grid.point_data, grid.cell_data, grid.field_data)
+    return grid.points, grid.count, grid.types, grid.offsets, grid.connectivity, *fields
+
+
+def inline_grid(file: Path) -> Grid | None:
+    """Return the instant of an inline .vtu, its arrays read when they are asked for; None for other files."""
+    found = inline_file(file) if file.suffix == ".vtu" else None
+    if found is None:
+        return None
+
+    def located() -> Floats:
+        return unpacked(found.points, file, "Points").astype(np.float64, copy=False)
+
+    return Grid(located, found.points.shape[0], *found.cells, *found.sections)
 
 
 def read_grid(file: Path, step: int = 0) -> Grid:
@@ -156,7 +186,7 @@ def _from_vtk(data: Any, file: Path) -> Grid:
         raise SeriesError(f"{file}: a cell names point {connectivity.max()} of {len(points)} (counted from 0)")
     fields = [{name: np.asarray(data[name]) for name in data.keys()} for data in  # noqa: SIM118  (pyvista's fields iterate over values)
               (grid.point_data, grid.cell_data, grid.field_data)]  # fmt: skip
-    return Grid(points, types, offsets, connectivity, *fields)
+    return Grid(points, len(points), types, offsets, connectivity, *fields)
 
 
 def _wrong_cells(types: NDArray[np.uint8], offsets: Ints, length: int) -> str | None:

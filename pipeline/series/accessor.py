@@ -1,6 +1,7 @@
 """ds.series: what a dataset of a moving body says of its cells."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -9,11 +10,12 @@ from pipeline.errors import MeshError, SeriesError
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
 from pipeline.measures import attributes
-from pipeline.mesh.simplex import Floats, Mesh, signed_volumes
+from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
 
 if TYPE_CHECKING:
     import xarray
 
+_ON_A_FACE = 1e-9  # of a cell's size: rounding puts points of the surface outside
 _NEEDED = ("rest_position", "connectivity", "displacement")
 
 
@@ -56,6 +58,49 @@ class SeriesAccessor:
         frame = self._dataset.sel(time=time, method="nearest")
         return pyvista_grid(frame)
 
+    def probe(self, field: "str | xarray.DataArray", points: Any) -> "xarray.DataArray":
+        """Return a field at points (p, d) of the body at rest, which move with it (time, point[, axis]).
+
+        A field of the nodes is linear within a cell, one of the cells is that of the cell around the point; outside
+        the body it is NaN. `field` is a name, or any DataArray of nodes or cells. Raises SeriesError.
+        """
+        import xarray
+
+        values = self._dataset[field] if isinstance(field, str) else field
+        cells, weights = located(self.mesh(), np.atleast_2d(np.asarray(points, dtype=np.float64)))
+        if "node" in values.dims:
+            nodes, places = np.unique(self._dataset["connectivity"].values[cells], return_inverse=True)
+            taken = values.isel(node=nodes)
+            taken = taken if taken.chunks else taken.compute()  # the nodes that count, once each
+            corners = xarray.DataArray(places.reshape(weights.shape), dims=("point", "corner"))
+            shares = xarray.DataArray(weights, dims=("point", "corner"))
+            found = xarray.dot(taken.isel(node=corners), shares, dim="corner")
+        elif "cell" in values.dims:
+            chosen = xarray.DataArray(cells, dims="point")
+            inside = xarray.DataArray(np.isfinite(weights[:, 0]), dims="point")
+            found = values.isel(cell=chosen).where(inside)
+        else:
+            raise SeriesError(
+                f"{values.name} is a field of neither nodes nor cells: {', '.join(map(str, values.dims))}"
+            )
+        out = found.transpose("time", "point", ...) if "time" in found.dims else found.transpose("point", ...)
+        return out.rename(values.name).assign_attrs(values.attrs)
+
+    def extract(self, cells: Any) -> "xarray.Dataset":
+        """Return the dataset of some cells, by their indices or as a mask, with the nodes that these have."""
+        corners = self.mesh().cells
+        chosen = np.arange(len(corners))[np.asarray(cells)].reshape(-1)
+        nodes, renumbered = np.unique(corners[chosen], return_inverse=True)
+        out = self._dataset.isel(cell=chosen, node=nodes)
+        shape = len(chosen), corners.shape[1]
+        return out.assign(connectivity=out["connectivity"].copy(data=renumbered.reshape(shape)))
+
+    def to_pvd(self, path: Path | str) -> Path:
+        """Write the dataset as NAME.pvd with a folder NAME of .vtu files; return the index. See dataset_to_pvd."""
+        from pipeline.series.writer import dataset_to_pvd  # it needs this module
+
+        return dataset_to_pvd(self._dataset, path)
+
     def mesh(self) -> Mesh:
         """Return the rest mesh; raises SeriesError where the dataset has none."""
         missing = [name for name in _NEEDED if name not in self._dataset]
@@ -82,6 +127,26 @@ class SeriesAccessor:
         d = self._dataset.sizes["corner"] - 1
         time = {"time": self._dataset["time"]}
         return xarray.DataArray(np.stack(rows), time, ("time", "cell"), name, attributes(name, d))
+
+
+def located(mesh: Mesh, points: Floats) -> tuple[Ints, Floats]:
+    """Return the cell (p,) around each rest point (p, d), and the shares of its corners (p, d + 1), NaN outside."""
+    if points.ndim != 2 or points.shape[1] < mesh.dimension:
+        raise SeriesError(f"points to probe are (p, {mesh.dimension}), not {points.shape}")
+    corners, slack = mesh.points[mesh.cells], _ON_A_FACE * mesh.size
+    low, high = corners.min(axis=1) - slack, corners.max(axis=1) + slack
+    cells = np.zeros(len(points), dtype=np.int64)
+    weights = np.full((len(points), mesh.dimension + 1), np.nan)
+    for i, point in enumerate(points[:, : mesh.dimension]):
+        near = np.flatnonzero(((low <= point) & (point <= high)).all(axis=1))
+        if not near.size:
+            continue
+        shares = np.einsum("cad,cd->ca", mesh.shape_gradients[near], point - corners[near, 0])
+        shares[:, 0] += 1
+        best = int(shares.min(axis=1).argmax())
+        if shares[best].min() >= -_ON_A_FACE:
+            cells[i], weights[i] = near[best], shares[best]
+    return cells, weights
 
 
 def pyvista_grid(frame: "xarray.Dataset") -> Any:

@@ -6,6 +6,7 @@ cost xarray. Making it also gives every dataset the accessor `series`.
 
 import json
 from collections import OrderedDict
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from threading import Lock
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 
 from pipeline.errors import SeriesError, listed, shortened
 from pipeline.measures import AXES, STEPS, VARIABLES, attributes, spatial
-from pipeline.mesh.simplex import Floats
 from pipeline.series.frame_files import Grid
 from pipeline.series.recorded import Series, read_series
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _SUFFIXES = (".pvd", ".vtu", ".pvtu", ".vtk", ".vtkhdf", ".xdmf", ".series")
 ATTRIBUTES = "dataset_attributes"  # field data of a first frame: what a dataset said beyond its numbers, as JSON
+_KEPT_BYTES = 1 << 25  # 32 MB: 1000 frames of a few hundred cells, two of a million
 STATIC = ("rest_position", "connectivity")
 _KNOWN = {
     "rest_position": ("m", "position at rest"),
@@ -73,32 +74,41 @@ def _backend() -> type:
 
 
 class Store:
-    """The frames of a series, the last two kept: several fields of one frame cost one reading."""
+    """The frames of a series, the last ones kept: several fields of one frame cost one reading.
+
+    Kept are the last two, and as many more as `_KEPT_BYTES` hold: fields are asked for one after the other, each in
+    all frames.
+    """
 
     def __init__(self, series: Series) -> None:
         self.series = series
-        self._kept: OrderedDict[int, tuple[Grid, Floats]] = OrderedDict()
+        self._kept: OrderedDict[int, Grid] = OrderedDict()
+        self._bytes = 0
         self._lock = Lock()
 
-    def frame(self, index: int) -> tuple[Grid, Floats]:
-        """Return what the files say of a frame and its positions (n, d)."""
+    def grid(self, index: int) -> Grid:
+        """Return what the files say of a frame, which must have the cells of the first."""
         with self._lock:  # VTK reads one at a time; dask asks from several threads
-            if index not in self._kept:
-                grid = self.series.grid(index)
-                self._kept[index] = grid, self.series.frame(index, grid).x
-                if len(self._kept) > 2:
-                    self._kept.popitem(last=False)
-            return self._kept[index]
+            if index in self._kept:
+                self._kept.move_to_end(index)
+                return self._kept[index]
+            grid = self.series.grid(index)
+            self.series.layout.check_cells(grid, str(self.series.files[index]))
+            self._kept[index] = grid
+            self._bytes += grid.nbytes
+            while len(self._kept) > 2 and self._bytes > _KEPT_BYTES:
+                self._bytes -= self._kept.popitem(last=False)[1].nbytes
+            return grid
 
     def values(self, kind: str, name: str, index: int) -> NDArray[Any]:
         """Return a field of a frame, of the nodes and cells that are measured."""
-        grid, x = self.frame(index)
-        layout = self.series.layout
+        grid, layout = self.grid(index), self.series.layout
         if name == "displacement":
             # ours says it exactly; a difference of positions has been rounded twice
             if "displacement" in grid.point_data and "rest_position" in grid.point_data:
-                return np.asarray(grid.point_data["displacement"], dtype=np.float64)
-            return spatial(x - layout.mesh.points)
+                told = np.asarray(grid.point_data["displacement"], dtype=np.float64)
+                return told if layout.nodes is None else told[layout.nodes]
+            return spatial(self.series.frame(index, grid).x - layout.mesh.points)
         data = getattr(grid, f"{kind}_data")
         if name not in data:
             raise SeriesError(
@@ -137,7 +147,7 @@ def lazy_dataset(series: Series) -> "xarray.Dataset":
     import xarray
 
     store, mesh, d = Store(series), series.mesh, series.mesh.dimension
-    first, _ = store.frame(0)
+    first = store.grid(0)
     names = {"displacement": "point"} | {
         name: kind
         for kind in ("point", "cell", "field")
@@ -205,15 +215,13 @@ def _frames(store: Store, kind: str, name: str) -> Any:
             return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER, self._read)
 
         def _read(self, key: tuple[Any, ...]) -> NDArray[Any]:
-            frames = np.arange(self.shape[0])[key[0]]
-            rest = np.ix_(*(np.arange(n)[k] if not isinstance(k, int | np.integer) else [k]
-                            for n, k in zip(sample.shape, key[1:], strict=True)))  # fmt: skip
-            single = tuple(i for i, k in enumerate(key[1:]) if isinstance(k, int | np.integer))
-            read = [self._one(int(i))[rest].squeeze(axis=single) for i in np.atleast_1d(frames)]
-            return np.asarray(read[0]) if frames.ndim == 0 else np.stack(read) if read else self._empty(key)
-
-        def _empty(self, key: tuple[Any, ...]) -> NDArray[Any]:
-            return np.empty((0, *self._one(0)[key[1:]].shape), dtype=sample.dtype)
+            frames, part = np.arange(self.shape[0])[key[0]], _part(key[1:], sample.shape)
+            if frames.ndim == 0:
+                return np.array(part(self._one(int(frames))))
+            out = np.empty((len(frames), *part(sample).shape), dtype=sample.dtype)
+            for row, index in enumerate(frames.tolist()):
+                out[row] = part(self._one(index))
+            return out
 
         def _one(self, index: int) -> NDArray[Any]:
             value = np.asarray(store.values(kind, name, index))
@@ -222,3 +230,12 @@ def _frames(store: Store, kind: str, name: str) -> Any:
             return value
 
     return Frames()
+
+
+def _part(key: tuple[Any, ...], shape: tuple[int, ...]) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    """Return what takes the part of a frame that a key names, each axis by itself (xarray's outer indexing)."""
+    if all(isinstance(k, slice | int | np.integer) for k in key):
+        return lambda frame: np.asarray(frame[key])
+    single = tuple(i for i, k in enumerate(key) if isinstance(k, int | np.integer))
+    each = np.ix_(*([k] if i in single else np.arange(n)[k] for i, (n, k) in enumerate(zip(shape, key, strict=True))))
+    return lambda frame: np.asarray(frame[each].squeeze(axis=single))

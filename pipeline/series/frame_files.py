@@ -1,8 +1,8 @@
-"""The files that frames lie in: our own are read here, those of others in a child process that may die."""
+"""The files that frames lie in: inline .vtu and our own are read here, the others in a child process that may die."""
 
 from functools import lru_cache
-from os.path import isfile  # pathlib's raises where a name is longer than the system allows
 from pathlib import Path
+from stat import S_ISREG
 
 from pipeline.errors import SeriesError
 from pipeline.foreign import grids
@@ -15,6 +15,8 @@ __all__ = ["SUFFIXES", "Grid", "fault", "file_times", "read_grid"]
 
 def read_grid(file: Path, step: int = 0, *, ours: bool = False) -> Grid:
     """Return one instant of a file; raises SeriesError where it cannot be read or is no unstructured grid."""
+    if (grid := grids.inline_grid(file)) is not None:
+        return grid
     if ours:
         return grids.read_grid(file, step)
     _check(file)
@@ -23,6 +25,9 @@ def read_grid(file: Path, step: int = 0, *, ours: bool = False) -> Grid:
 
 def file_times(file: Path) -> list[float] | None:
     """Return the times [s] that a file knows of itself, None where it says nothing; raises SeriesError."""
+    if (grid := grids.inline_grid(file)) is not None:
+        told = grid.field_data.get("TimeValue")
+        return None if told is None else [float(time) for time in told.ravel()]
     _check(file)
     times: list[float] | None = READER.read("pipeline.foreign.grids:file_times", file, error=SeriesError)
     return times
@@ -37,13 +42,17 @@ def _check(file: Path) -> None:
 
 def fault(file: Path) -> str | None:
     """Return what is wrong with a file that is not there, empty or cut off; None where nothing shows."""
-    if not isfile(file):
+    try:
+        found = file.stat()
+    except OSError:
         return "is missing"
-    size = file.stat().st_size
+    if not S_ISREG(found.st_mode):
+        return "is missing"
+    size = found.st_size
     if not size:
         return "is empty"
     if file.suffix in (".vtu", ".pvtu", ".vtp"):
-        with file.open("rb") as opened:
+        with open(file, "rb", buffering=0) as opened:
             opened.seek(max(0, size - 200))
             return None if b"</VTKFile>" in opened.read() else "is cut off: it does not end with </VTKFile>"
     if file.suffix == ".vtk":  # nothing at its end tells

@@ -52,14 +52,18 @@ class Layout:
     notes: tuple[str, ...]
     guessed: bool  # the displacement was found by its name
 
-    def positions(self, grid: Grid, where: str) -> Floats:
-        """Return the positions of a frame (n, d); raises SeriesError where they are not those of this mesh."""
+    def check_cells(self, grid: Grid, where: str) -> None:
+        """Raise SeriesError where the cells of a frame are not those of the first."""
         if not same_cells(grid, self.grid):
             raise SeriesError(
                 f"{where}: its cells are not those of the first frame "
-                f"({len(grid.types)} cells, {len(grid.points)} points; there {len(self.grid.types)} and "
-                f"{len(self.grid.points)}): the topology changes"
+                f"({len(grid.types)} cells, {grid.count} points; there {len(self.grid.types)} and "
+                f"{self.grid.count}): the topology changes"
             )
+
+    def positions(self, grid: Grid, where: str) -> Floats:
+        """Return the positions of a frame (n, d); raises SeriesError where they are not those of this mesh."""
+        self.check_cells(grid, where)
         if self.guessed and not np.array_equal(grid.points, self.grid.points):
             field = shortened(self.displacement or "")
             raise SeriesError(
@@ -80,11 +84,9 @@ class Layout:
 
 def same_cells(a: Grid, b: Grid) -> bool:
     """Return whether two grids have the same points' count and the same cells."""
-    return (
-        len(a.points) == len(b.points)
-        and np.array_equal(a.types, b.types)
-        and np.array_equal(a.connectivity, b.connectivity)
-    )
+    if a.connectivity is b.connectivity and a.types is b.types:  # spelt alike, and read once
+        return a.count == b.count
+    return a.count == b.count and np.array_equal(a.types, b.types) and np.array_equal(a.connectivity, b.connectivity)
 
 
 def deformed(grid: Grid, displacement: str | None, where: str) -> Floats:
@@ -125,7 +127,7 @@ def understood(read: Callable[[int], Grid], count: int, options: Options, where:
         mesh = Mesh(points, cells, name=where)
     except MeshError as error:
         raise SeriesError(f"rest state: {error}") from error
-    bare = Grid(first.points, first.types, first.offsets, first.connectivity, {}, {}, {})
+    bare = Grid(first.points, first.count, first.types, first.offsets, first.connectivity, {}, {}, {})
     mask = None if chosen.all() else chosen
     guessed = displacement is not None and options.displacement is None
     return Layout(mesh, nodes, mask, displacement, bare, (*notes, *said, *told, *mirrored), guessed)
@@ -133,11 +135,14 @@ def understood(read: Callable[[int], Grid], count: int, options: Options, where:
 
 def _measured_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], list[str]]:
     """Return the dimension, which cells are its simplices, and a note that counts the others."""
+    kinds, counts = np.unique(grid.types, return_counts=True)
+    for d, kind in _KINDS.items():
+        if kinds.tolist() == [kind]:
+            return d, np.ones(len(grid.types), dtype=bool), []
     import pyvista
     from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
     cell, dimensions = vtkGenericCell(), dict[int, int]()
-    kinds, counts = np.unique(grid.types, return_counts=True)
     for kind in kinds.tolist():
         cell.SetCellType(kind)
         dimensions[kind] = cell.GetCellDimension()

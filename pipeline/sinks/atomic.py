@@ -9,17 +9,19 @@ from pipeline.errors import OutputError
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def whole_file(path: Path, *, synced: bool = True) -> Iterator[Path]:
     """Yield a hidden name beside path to write to; on leaving it is synced and takes the place of path.
 
-    Raises OutputError, and removes the hidden file, where the system refuses.
+    Syncing waits for the disk, some ms a file: of what can be made again it may be left to the system. Raises
+    OutputError, and removes the hidden file, where the system refuses.
     """
     hidden = path.with_name(f".{path.stem}.tmp{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield hidden
-        with open(hidden, "rb+") as written:
-            os.fsync(written.fileno())
+        if synced:
+            with open(hidden, "rb+") as written:
+                os.fsync(written.fileno())
         os.replace(hidden, path)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
@@ -28,7 +30,7 @@ def whole_file(path: Path) -> Iterator[Path]:
             hidden.unlink(missing_ok=True)
 
 
-def write_whole(path: Path, data: str | bytes) -> None:
+def write_whole(path: Path, data: str | bytes, *, synced: bool = True) -> None:
     """Write a text or bytes so that path holds the old or the new content, never a part; raises OutputError."""
-    with whole_file(path) as hidden:
+    with whole_file(path, synced=synced) as hidden:
         hidden.write_bytes(data.encode() if isinstance(data, str) else data)

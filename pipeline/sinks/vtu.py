@@ -9,18 +9,21 @@ import zlib
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.frame import Frame, Values
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.simplex import Ints, Mesh
 from pipeline.sinks.atomic import write_whole
-from pipeline.sinks.fields import CELL_TYPES, Precision, frame_fields, rest_positions
+from pipeline.sinks.fields import CELL_TYPES, Fields, Precision, frame_fields, rest_positions
 
-_TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "u1": "UInt8"}
+_TYPES = {f"{kind}{n}": f"{word}Int{8 * n}" for word, kind in (("", "i"), ("U", "u")) for n in (1, 2, 4, 8)} | {
+    "f4": "Float32",
+    "f8": "Float64",
+}
 _INDEX_SECONDS = 1.0  # the index grows with the run; written every frame it would cost the square of it
 
 
@@ -37,7 +40,7 @@ class VtuSink:
         self._rows = bytearray(pvd_rows((t, frame_file(index)) for index, t in enumerate(earlier)))
         self._indexed = -np.inf
         self._mesh: Mesh | None = None
-        self._cells = self._rest = b""
+        self._static: StaticParts
 
     def write(self, frame: Frame, measured: Values) -> None:
         """Write one frame whole; the index follows within a second."""
@@ -60,23 +63,44 @@ class VtuSink:
         """Return the frame's .vtu."""
         mesh = frame.mesh
         if self._mesh is not mesh:
-            self._mesh, self._cells = mesh, _cells(mesh)
-            self._rest = _array("rest_position", rest_positions(mesh, self.precision), static=True)
-        fields = frame_fields(frame, measured, self.precision)
-        numbers = (_array(name, value, tuples=len(value)) for name, value in fields.numbers.items())
-        piece = f'<Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{len(mesh.cells)}">'
-        return b"".join(
-            (
-                _HEAD,
-                _element("FieldData", numbers),
-                piece.encode(),
-                _element("PointData", [*(_array(*one) for one in fields.nodal.items()), self._rest]),
-                _element("CellData", (_array(*one) for one in fields.cellular.items())),
-                _element("Points", [_array("Points", fields.points)]),
-                self._cells,
-                _TAIL,
-            )
+            self._mesh = mesh
+            self._static = static_parts(mesh.cells, rest_positions(mesh, self.precision))
+        return vtu_text(frame_fields(frame, measured, self.precision), self._static)
+
+
+class StaticParts(NamedTuple):
+    """What all frames share, encoded: counts of points and cells, the cells, the rest positions."""
+
+    counts: tuple[int, int]
+    cells: bytes
+    rest: bytes
+
+
+def static_parts(cells: Ints, rest: NDArray[np.floating]) -> StaticParts:
+    """Return what the frames of cells (e, d + 1) at rest positions (n, 3) share."""
+    e, corners = cells.shape
+    offsets = np.arange(corners, corners * e + 1, corners, dtype=np.int64)
+    types = np.full(e, CELL_TYPES[corners - 1], dtype=np.uint8)
+    named = {"connectivity": cells.astype(np.int64, copy=False).ravel(), "offsets": offsets, "types": types}
+    encoded = _element("Cells", (_array(*one, static=True) for one in named.items()))
+    return StaticParts((len(rest), e), encoded, _array("rest_position", rest, static=True))
+
+
+def vtu_text(fields: Fields, static: StaticParts) -> bytes:
+    """Return one frame as a .vtu."""
+    numbers = (_array(name, value, tuples=len(value)) for name, value in fields.numbers.items())
+    return b"".join(
+        (
+            _HEAD,
+            _element("FieldData", numbers),
+            '<Piece NumberOfPoints="{}" NumberOfCells="{}">'.format(*static.counts).encode(),
+            _element("PointData", [*(_array(*one) for one in fields.nodal.items()), static.rest]),
+            _element("CellData", (_array(*one) for one in fields.cellular.items())),
+            _element("Points", [_array("Points", fields.points)]),
+            static.cells,
+            _TAIL,
         )
+    )
 
 
 _HEAD = (
@@ -86,30 +110,28 @@ _HEAD = (
 _TAIL = b"</Piece>\n</UnstructuredGrid>\n</VTKFile>\n"
 
 
-def _cells(mesh: Mesh) -> bytes:
-    e, corners = mesh.cells.shape
-    offsets = np.arange(corners, corners * e + 1, corners, dtype=np.int64)
-    types = np.full(e, CELL_TYPES[mesh.dimension], dtype=np.uint8)
-    named = {"connectivity": mesh.cells.ravel(), "offsets": offsets, "types": types}
-    return _element("Cells", (_array(*one, static=True) for one in named.items()))
-
-
 def _element(name: str, arrays: Iterable[bytes]) -> bytes:
     return b"".join((f"<{name}>\n".encode(), *arrays, f"</{name}>\n".encode()))
 
 
 def _array(name: str, values: NDArray[Any], *, tuples: int | None = None, static: bool = False) -> bytes:
-    """Return a DataArray: one block of zlib behind a header of four numbers, each part in base64."""
+    """Return a DataArray: one block of zlib behind a header of four numbers, each part in base64.
+
+    Bytes (dtype S) become texts, which end with a zero.
+    """
     kind = values.dtype.str[1:]
-    plain = np.ascontiguousarray(values, dtype=f"<{kind}").data.cast("B")
+    if values.dtype.kind == "S":
+        tag, type_name, plain = "Array", "String", memoryview(b"".join(text + b"\0" for text in values.tolist()))
+    else:
+        tag, type_name, plain = "DataArray", _TYPES[kind], np.ascontiguousarray(values, dtype=f"<{kind}").data.cast("B")
     # runs and entropy alone: three times as fast on floats as level 1, files 3 % larger
     compressor = zlib.compressobj(6) if static else zlib.compressobj(1, strategy=zlib.Z_RLE)
     packed = compressor.compress(plain) + compressor.flush()
     header = np.array([1, len(plain), 0, len(packed)], dtype="<u8").tobytes()
     components = f' NumberOfComponents="{values.shape[1]}"' if values.ndim == 2 else ""
     count = "" if tuples is None else f' NumberOfTuples="{tuples}"'
-    start = f'<DataArray type="{_TYPES[kind]}" Name={quoteattr(name)}{components}{count} format="binary">'
-    return b"".join((start.encode(), b64encode(header), b64encode(packed), b"</DataArray>\n"))
+    start = f'<{tag} type="{type_name}" Name={quoteattr(name)}{components}{count} format="binary">'
+    return b"".join((start.encode(), b64encode(header), b64encode(packed), f"</{tag}>\n".encode()))
 
 
 def frame_file(index: int) -> str:

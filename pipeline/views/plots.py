@@ -86,6 +86,30 @@ def energy_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
         _save(figure, path)
 
 
+def distance_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
+    """Write how far the nodes of each series are from those of the first over time, a panel each.
+
+    Takes node_distance_worst and node_distance_rms (method, time). Raises OutputError where it cannot write.
+    """
+    from matplotlib import rc_context
+
+    with rc_context(STYLE):
+        names, time = [str(name) for name in dataset["method"].values], dataset["time"].values
+        figure, panels = _panels(len(names) - 1, title)
+        lines = (("worst node", "node_distance_worst", VERMILION, "-"), ("RMS of all", "node_distance_rms", BLUE, "--"))
+        for i, (axes, name) in enumerate(zip(panels, names[1:], strict=True), start=1):
+            axes.set_title(f"{name}, from {names[0]}", loc="left", fontsize=11, color=BLACK)
+            for label, variable, colour, dashes in lines:
+                values = dataset[variable].transpose("method", "time").values[i]
+                axes.plot(time, values, dashes, color=colour, linewidth=1.5, label=label)
+        panels[0].set_xlim(*_time_limits(time))
+        panels[0].set_ylim(bottom=0)
+        _label_outer(panels, "distance of nodes [m]")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+        _save(figure, path)
+
+
 RUNGS = (("linear", GREEN), ("corotational", BLUE), ("converged", VERMILION))
 
 
