@@ -1,6 +1,7 @@
 """The files that frames lie in: inline .vtu and our own are read here, the others in a child process that may die."""
 
 from functools import lru_cache
+from os.path import isfile  # pathlib's raises where a name is longer than the system allows
 from pathlib import Path
 from stat import S_ISREG
 
@@ -44,7 +45,7 @@ def fault(file: Path) -> str | None:
     """Return what is wrong with a file that is not there, empty or cut off; None where nothing shows."""
     try:
         found = file.stat()
-    except OSError:
+    except (OSError, ValueError):  # ValueError: a name that no file can have
         return "is missing"
     if not S_ISREG(found.st_mode):
         return "is missing"
