@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.build import Problem
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
+from pipeline.fem.rotation import axial
 from pipeline.frame import Frame, Sink, Values
 from pipeline.measures import STEPS, measure, spatial
 from pipeline.mesh.simplex import Floats
@@ -116,11 +117,13 @@ def _effort(problem: Problem, work: Work) -> dict[str, Floats]:
 def dynamics(body: Body, state: State) -> dict[str, Floats]:
     """Return the energies [J] and momenta of a state, by the names of measures.VARIABLES."""
     p = body.momentum(state.v)
-    turning = np.cross(spatial(state.x), spatial(p)).sum(axis=0)
+    xp = np.zeros((3, 3))  # sum_n x_n p_n^T, whose skew part is the sum of x_n x p_n
+    xp[: body.mesh.dimension, : body.mesh.dimension] = state.x.T @ p
+    turning = axial(xp.T - xp)
     return {
-        "kinetic_energy": np.asarray(0.5 * (state.v * p).sum()),
+        "kinetic_energy": np.asarray(0.5 * np.vdot(state.v, p)),
         "elastic_energy": np.asarray(body.energy(state.x)),
-        "potential_energy": np.asarray(-(body.load * (state.x - body.mesh.points)).sum()),
+        "potential_energy": np.asarray(-np.vdot(body.load, state.x - body.mesh.points)),
         "linear_momentum": spatial(p.sum(axis=0)),
         "angular_momentum": turning,
     }
