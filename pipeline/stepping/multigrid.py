@@ -67,12 +67,12 @@ class Cycle:
         """Return about A^-1 r for r (n, d), in an array that the next call overwrites."""
         from pipeline.stepping import multigrid_kernels as kernels
 
-        forward, backward = kernels.sweeps(r.shape[1])
+        sweep = kernels.sweep(r.shape[1])
         restrict, prolong = kernels.transfers(r.shape[1], self._coarse.shape[1])
-        forward(*self._A, r, self._x, self._left)
+        sweep(*self._A, r, self._x, self._left, False)
         restrict(*self._P, self._left, self._coarse)
         prolong(*self._P, self._below(self._coarse), self._x)
-        backward(*self._A, r, self._x, self._left)
+        sweep(*self._A, r, self._x, self._left, True)
         return self._x
 
 

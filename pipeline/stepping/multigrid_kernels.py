@@ -44,18 +44,24 @@ def groups(indptr, indices, group):
 
 
 @cache
-def sweeps(d):
-    """Return the two halves of symmetric Gauss-Seidel for blocks d x d."""
+def sweep(d):
+    """Return a sweep of Gauss-Seidel for blocks d x d."""
 
     @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
-    def forward(indptr, indices, A, r, x, left):
-        """Write x = (D + L)^-1 r and what it leaves, r - A x = -L^T x; all (n, d)."""
+    def sweep(indptr, indices, A, r, x, left, back):
+        """Write x_i = D_i^-1 (r_i - sum of A_ij x_j over j < i + left_i) into x (n, d) for one node after the other.
+
+        `left` (n, d), which starts as zero, takes -A_ji x_i for all j < i. So from the last node back, x is corrected;
+        from the first one on, whatever x was, x becomes (D + L)^-1 r and `left` r - A x.
+        """
+        n = len(indptr) - 1
         a, b = np.empty(d, np.float32), np.empty(d, np.float32)
         left[:] = 0.0
-        for i in range(len(indptr) - 1):
+        for step in range(n):
+            i = n - 1 - step if back else step
             first, last = indptr[i], indptr[i + 1] - 1
             for p in range(d):
-                a[p] = r[i, p]
+                a[p] = r[i, p] + left[i, p]
             for k in range(first, last):
                 j = indices[k]
                 for p in range(d):
@@ -74,34 +80,7 @@ def sweeps(d):
                         value -= A[k, p, q] * b[p]
                     left[j, q] = value
 
-    @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
-    def backward(indptr, indices, A, r, x, rest):
-        """Correct x, from the last node to the first, by what r - A x then is; rest is room to work in."""
-        a, b = np.empty(d, np.float32), np.empty(d, np.float32)
-        rest[:] = r
-        for i in range(len(indptr) - 2, -1, -1):
-            first, last = indptr[i], indptr[i + 1] - 1
-            for p in range(d):
-                a[p] = rest[i, p]
-            for k in range(first, last):
-                j = indices[k]
-                for p in range(d):
-                    for q in range(d):
-                        a[p] -= A[k, p, q] * x[j, q]
-            for p in range(d):
-                value = np.float32(0.0)
-                for q in range(d):
-                    value += A[last, p, q] * a[q]
-                x[i, p] = b[p] = value
-            for k in range(first, last):
-                j = indices[k]
-                for q in range(d):
-                    value = rest[j, q]
-                    for p in range(d):
-                        value -= A[k, p, q] * b[p]
-                    rest[j, q] = value
-
-    return forward, backward
+    return sweep
 
 
 @cache

@@ -7,7 +7,7 @@ factored in a step. The factor is in single precision: it only preconditions.
 
 For stiff steps of middle meshes; small ones are faster with a banded factor every step. On large ones a multigrid
 cycle of A_0, turned the same way, takes the factor's place: 13 to 16 iterations at a million tetrahedra instead of 6 to
-10, but each a sixth as long, and with a tenth of the set-up. Flat or distorted cells, aspect 1:9, cost it 60.
+10, but each a sixth as long, and with a sixth of the set-up. Stretched cells, 1 : 3 : 9, cost it 60.
 """
 
 from collections.abc import Callable
