@@ -30,7 +30,7 @@ from pipeline.stepping.newton import Converged, NewtonLimits
 from pipeline.stepping.pardiso import Pardiso
 from pipeline.stepping.state import Stepper
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
-from pipeline.stepping.warped import warped_cg
+from pipeline.stepping.warped import Rest, multigrid_cg, warped_cg
 
 Rotation = Callable[[Floats], Floats]
 
@@ -48,6 +48,7 @@ LINEAR_SOLVERS: Mapping[str, Callable[..., LinearSolver]] = {
     "superlu": SuperLU,
     "pardiso": Pardiso,
     "warped": warped_cg,
+    "multigrid": multigrid_cg,
     "cg": block_jacobi_cg,
 }
 SHAPES: Mapping[str, Callable[[Sequence[float], Sequence[int], str], Mesh]] = {"box": box, "rectangle": rectangle}
@@ -114,22 +115,22 @@ def linear_solvers(body: Body, h: float, method: MethodSpec) -> list[dict[str, s
 
 def _linear_solver(body: Body, h: float, method: MethodSpec, *, constant: bool) -> LinearSolver:
     name = method.linear_solver if method.linear_solver != "auto" else _choice(body, h, constant=constant)[0]
-    return LINEAR_SOLVERS[name](body.free_pattern, method.linear_rtol, None if constant else _rest_system(body, h))
+    return LINEAR_SOLVERS[name](body.free_pattern, method.linear_rtol, _rest(body, h))
 
 
 def _choice(body: Body, h: float, *, constant: bool) -> tuple[str, str]:
     return choice(body.free_pattern, constant=constant, stiffness=h * body.frequency_bound)
 
 
-def _rest_system(body: Body, h: float) -> Callable[[], Floats]:
-    """Return what gives the values of M + h^2 K at rest on the free nodes, when asked."""
+def _rest(body: Body, h: float) -> Rest:
+    """Return the free nodes at rest, and what gives the values of M + h^2 K there."""
 
     def values() -> Floats:
         A = np.empty_like(body.mass)
         body.system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
         return A[: body.free_pattern.blocks]
 
-    return values
+    return Rest(body.mesh.points[body.free], values)
 
 
 def _treatment(method: MethodSpec) -> Treatment | None:
@@ -183,8 +184,9 @@ DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
         "crossing": "inverted cells: the direction that collapsed is negative; for one solve",
     },
     "method.linear_solver": {
-        "auto": "by size: banded for small meshes, else warped; for the linear law banded, else superlu",
+        "auto": "by size: banded for small meshes, then warped, then multigrid; for the linear law pardiso or superlu",
         "warped": "conjugate gradients with the rest state's factor turned along, to method.linear_rtol; larger meshes",
+        "multigrid": "as warped, with a multigrid cycle for the factor: less memory, quick set-up; large meshes",
         "banded": "Cholesky of the band, factors every new matrix; fastest on small meshes",
         "superlu": "sparse direct, factors every new matrix",
         "pardiso": "sparse direct by Intel MKL (the `mkl` extra), factors every new matrix; positive definite ones",

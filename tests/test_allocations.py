@@ -10,7 +10,7 @@ CELLS = [10, 24, 10]
 SMALL = 16_000  # bytes: numbers, names and views, whatever the mesh
 
 
-@pytest.mark.parametrize("solver", ["banded", "warped", "pardiso", "cg"])
+@pytest.mark.parametrize("solver", ["banded", "warped", "multigrid", "pardiso", "cg"])
 @pytest.mark.parametrize("stepper", ["backward_euler", "bdf2"])
 @pytest.mark.parametrize(
     "method",

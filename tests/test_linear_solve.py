@@ -15,7 +15,7 @@ from pipeline.stepping.banded import Band, BandedCholesky
 from pipeline.stepping.kernels import invert_blocks
 from pipeline.stepping.pardiso import Pardiso
 from pipeline.stepping.symplectic_euler import true_limit
-from pipeline.stepping.warped import warped_cg
+from pipeline.stepping.warped import Rest, multigrid_cg, warped_cg
 
 
 def path(cases_folder, solver: str, variant: str, **keys: object) -> list[np.ndarray]:
@@ -66,7 +66,7 @@ def test_warped_gives_the_same_with_every_factor(cases_folder, monkeypatch, fact
     assert np.abs(found[-1] - expected[-1]).max() < 1e-5
     pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
     unit = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
-    assert warped.rest_factor(pattern, unit).name == factor
+    assert warped.rest_factor(pattern, Rest(np.zeros((8, 3)), lambda: unit)).name == factor
 
 
 def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypatch) -> None:
@@ -79,16 +79,19 @@ def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypa
         return name
 
     assert chosen(small, constant=True) == chosen(small, constant=False) == "banded"
-    assert chosen(large, constant=False) == "warped"
+    assert chosen(large, constant=False) == chosen(large, constant=False, stiffness=2.0) == "warped"
+    monkeypatch.setattr(linear_solve, "_WARPED_BAND", 1.0)
+    assert chosen(large, constant=False) == "multigrid" and chosen(large, constant=False, stiffness=2.0) == "cg"
     monkeypatch.setattr(linear_solve, "_CONSTANT_BAND", 1.0)
-    monkeypatch.setattr(warped, "_SMALL_BAND", 1.0)
     assert chosen(large, constant=True) == "pardiso"
-    assert chosen(large, constant=False) == "warped" and chosen(large, constant=False, stiffness=2.0) == "cg"
+    with monkeypatch.context() as small_machine:
+        small_machine.setattr(linear_solve, "installed_bytes", lambda: 1e6)
+        assert chosen(large, constant=True) == "multigrid"
     monkeypatch.setattr(linear_solve, "library", lambda: None)
     monkeypatch.setattr(linear_solve, "_CONSTANT_BAND_WITHOUT_MKL", 1.0)
     assert chosen(large, constant=True) == "superlu"
-    monkeypatch.setattr(linear_solve, "installed_bytes", lambda: 1e6)
-    assert chosen(large, constant=True) == chosen(large, constant=False) == "cg"
+    monkeypatch.setattr(linear_solve, "_LU_BAND", 1.0)
+    assert chosen(large, constant=True) == "multigrid"
 
 
 def test_the_bound_of_the_frequencies_is_one(cases_folder) -> None:
@@ -104,13 +107,14 @@ def test_pardiso_without_mkl_says_what_to_install(monkeypatch) -> None:
         LINEAR_SOLVERS["pardiso"](pattern, 1e-8, None)
 
 
-@pytest.mark.parametrize("solver", [BandedCholesky, warped_cg, Pardiso])
+@pytest.mark.parametrize("solver", [BandedCholesky, warped_cg, multigrid_cg, Pardiso])
 def test_an_indefinite_matrix_is_an_error(solver) -> None:
-    pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
+    mesh = box([1.0, 1.0, 1.0], [1, 1, 1])
+    pattern = assemble_pattern(mesh).pattern
     good = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
     bad = good.copy()
     bad[0] = np.diag([1.0, 1.0, -1.0])
-    made = solver(pattern, 1e-8, lambda: good)
+    made = solver(pattern, 1e-8, Rest(mesh.points, lambda: good))
     b = np.zeros((8, 3))
     b[0, 2] = 1.0
     with pytest.raises(SolveError, match="not positive definite"):

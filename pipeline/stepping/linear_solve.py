@@ -3,7 +3,8 @@
 banded     Cholesky of the reverse Cuthill-McKee band; the fastest factor of small meshes
 superlu    sparse LU, symmetric mode with a minimum-degree order of A + A^T; a factor per matrix, any conditioning
 pardiso    sparse Cholesky of Intel MKL, where that is installed; the fastest direct solve of large meshes
-warped     conjugate gradients with the rest state's factor, turned along; one factor a run: for larger meshes
+warped     conjugate gradients with the rest state's factor, turned along; one factor a run: for middle meshes
+multigrid  the same with a multigrid cycle in place of the factor: for large meshes
 cg         conjugate gradients with block Jacobi; no factor: for small steps, where few iterations suffice
 """
 
@@ -27,14 +28,18 @@ from pipeline.stepping.warped import factor_kind
 _CONSTANT_BAND = 20.0
 _CONSTANT_BAND_WITHOUT_MKL = 60.0
 _CHANGING_BAND = 0.5
+# at 12.6 MB a step took 8 ms with the factor and 10.5 with multigrid, at 48.4 26 and 24, at 192 77 (MKL's) and 63
+_WARPED_BAND = 40.0
+# SuperLU against multigrid, for a matrix that stays: 37 and 50 ms a step at 192 MB, 139 and 115 at 624
+_LU_BAND = 400.0
 # a factor in single precision by nested dissection, measured at 10k and 100k tetrahedra: bytes over dofs^(4/3)
 _FACTOR_BYTES = 63.0
+# what a cycle reads of a million tetrahedra, over the lower blocks in single precision
+_CYCLE_BYTES = 2.5
 _MOST_OF_MEMORY = 0.5
-# of h omega_max: at 16.8 and 100k tetrahedra 59 iterations without a factor took 117 ms, 4 with one 150
-_SOFT = 20.0
+# of h omega_max: at 8.4 and 100k tetrahedra 28 iterations without a cycle took 90 ms, 6 with one 87
+_SOFT = 8.0
 
-# gives the values (blocks, d, d) of the system at rest; None where the system is always that
-Rest = Callable[[], Floats] | None
 # writes the nodes' rotations (n, d, d)
 Frames = Callable[[Floats], object]
 
@@ -60,7 +65,7 @@ class SuperLU:
 
     pattern: BlockPattern
     rtol: float
-    rest: Rest = None
+    rest: object = None
 
     def update(self, values: Floats, frames: Frames) -> Work:
         """Factor the matrix."""
@@ -93,24 +98,28 @@ def choice(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[
     if band <= most:
         return "banded", f"the matrix {kind}; its band takes {band:.3g} MB, at most {most:g}"
     why = f"the matrix {kind}; its band would take {band:.3g} MB, more than {most:g}"
-    size = factor_bytes(pattern, "pardiso" if constant else "warped")
-    if size > _MOST_OF_MEMORY * installed_bytes():
-        return "cg", f"{why}; a sparse factor would take {size / 1e9:.3g} GB, too much for this machine"
-    if constant:
-        return ("pardiso", f"{why}; MKL is installed") if mkl else ("superlu", f"{why}; MKL is not installed")
-    if factor_kind(band) != "banded" and stiffness <= _SOFT:
-        return "cg", f"{why}; the step is short: h omega_max is {stiffness:.3g}, at most {_SOFT:g}"
-    return "warped", f"{why}; h omega_max is up to {stiffness:.3g}; the factor at rest is {factor_kind(band)}"
+    if constant and mkl and factor_bytes(pattern, "pardiso") <= _MOST_OF_MEMORY * installed_bytes():
+        return "pardiso", f"{why}; MKL is installed"
+    if constant and not mkl and band <= _LU_BAND:
+        return "superlu", f"{why}; MKL is not installed"
+    stiff = f"h omega_max is up to {stiffness:.3g}"
+    if not constant and band <= _WARPED_BAND:
+        return "warped", f"{why}; {stiff}; the factor at rest is {factor_kind(band)}"
+    if stiffness <= _SOFT:
+        return "cg", f"{why}; the step is short: {stiff}, at most {_SOFT:g}"
+    return "multigrid", f"{why}; {stiff}"
 
 
 def factor_bytes(pattern: BlockPattern, name: str) -> float:
-    """Return what the factor of a solver takes [bytes]: of a band exactly, of a sparse one about; 0 without one."""
+    """Return what a solver's factor, or cycle, takes [bytes]: of a band exactly, else about; 0 without one."""
     band = band_of(pattern).megabytes
     dofs = pattern.nodes * pattern.dimension
     if name == "cg":
         return 0.0
     if name == "banded":
         return 1e6 * band
+    if name == "multigrid":
+        return _CYCLE_BYTES * 4 * pattern.blocks * pattern.dimension**2
     if name == "warped":
         return 0.5e6 * band if factor_kind(band) == "banded" else _FACTOR_BYTES * dofs ** (4 / 3)
     return 2 * _FACTOR_BYTES * dofs ** (4 / 3)

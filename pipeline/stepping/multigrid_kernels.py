@@ -1,0 +1,115 @@
+"""Compiled parts of multigrid: grouping nodes, and what a cycle does on a level, each in one pass over memory.
+
+A level's matrix is stored as BlockPattern says, lower blocks only, with the diagonal blocks' inverses in their place.
+Block sizes are constants of the compiled code, which unrolls their loops.
+"""
+
+from functools import cache
+
+import numpy as np
+from numba import njit
+
+# sums may be reordered, which makes them vector instructions; the order is the same every time
+_FAST = {"contract", "reassoc", "nsz"}
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def groups(indptr, indices, group):
+    """Write the group of every node of a symmetric graph into group and return their number.
+
+    A group is a node with all its neighbours, where none of them has a group yet; the others join a neighbour's.
+    """
+    n = len(indptr) - 1
+    group[:] = -1
+    count = 0
+    for i in range(n):
+        free = True
+        for k in range(indptr[i], indptr[i + 1]):
+            free = free and group[indices[k]] < 0
+        if free:
+            group[i] = count
+            for k in range(indptr[i], indptr[i + 1]):
+                group[indices[k]] = count
+            count += 1
+    for i in range(n):
+        if group[i] < 0:
+            for k in range(indptr[i], indptr[i + 1]):
+                if group[indices[k]] >= 0:
+                    group[i] = -2 - group[indices[k]]  # below zero, so that nobody joins through i
+                    break
+    for i in range(n):
+        if group[i] < 0:
+            group[i] = -2 - group[i]
+    return count
+
+
+@cache
+def sweep(d):
+    """Return a sweep of Gauss-Seidel for blocks d x d."""
+
+    @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+    def sweep(indptr, indices, A, r, x, left, back):
+        """Write x_i = D_i^-1 (r_i - sum of A_ij x_j over j < i + left_i) into x (n, d) for one node after the other.
+
+        `left` (n, d), which starts as zero, takes -A_ji x_i for all j < i. So from the last node back, x is corrected;
+        from the first one on, whatever x was, x becomes (D + L)^-1 r and `left` r - A x.
+        """
+        n = len(indptr) - 1
+        a, b = np.empty(d, np.float32), np.empty(d, np.float32)
+        left[:] = 0.0
+        for step in range(n):
+            i = n - 1 - step if back else step
+            first, last = indptr[i], indptr[i + 1] - 1
+            for p in range(d):
+                a[p] = r[i, p] + left[i, p]
+            for k in range(first, last):
+                j = indices[k]
+                for p in range(d):
+                    for q in range(d):
+                        a[p] -= A[k, p, q] * x[j, q]
+            for p in range(d):
+                value = np.float32(0.0)
+                for q in range(d):
+                    value += A[last, p, q] * a[q]
+                x[i, p] = b[p] = value
+            for k in range(first, last):
+                j = indices[k]
+                for q in range(d):
+                    value = left[j, q]
+                    for p in range(d):
+                        value -= A[k, p, q] * b[p]
+                    left[j, q] = value
+
+    return sweep
+
+
+@cache
+def transfers(d, m):
+    """Return the restriction and the prolongation by compressed rows of blocks d x m."""
+
+    @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+    def restrict(indptr, indices, P, fine, coarse):
+        """Write P^T fine into coarse (groups, m)."""
+        coarse[:] = 0.0
+        for i in range(len(indptr) - 1):
+            for k in range(indptr[i], indptr[i + 1]):
+                j = indices[k]
+                for q in range(m):
+                    value = coarse[j, q]
+                    for p in range(d):
+                        value += P[k, p, q] * fine[i, p]
+                    coarse[j, q] = value
+
+    @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+    def prolong(indptr, indices, P, coarse, fine):
+        """Add P coarse to fine (n, d)."""
+        for i in range(len(indptr) - 1):
+            for k in range(indptr[i], indptr[i + 1]):
+                j = indices[k]
+                for p in range(d):
+                    value = fine[i, p]
+                    for q in range(m):
+                        value += P[k, p, q] * coarse[j, q]
+                    fine[i, p] = value
+
+    return restrict, prolong
