@@ -1,9 +1,10 @@
 """How the cost of a step grows with the mesh, method by method, beside plain scipy and the machine's bandwidth.
 
 bench.json has a row a point: case, method, cells, tets, nodes, dt [s], ms (median of a step), ns_per_tet, solves and
-linear_iterations of a step, setup_s, peak_MB (of a process of its own), linear_solver, bytes (what a step moves at
-least), bound_ms (those over the measured bandwidth), baseline_ms (one corotational solve by plain scipy), error. Rows
-of other programs (peers.py) have version, ours_ms and differs instead of what they do not tell.
+linear_iterations of a step, setup_s, loading_s (of kernels, once a process; null: in setup_s), peak_MB (of a process of
+its own), linear_solver, bytes (what a step moves at least), bound_ms (those over the measured bandwidth), baseline_ms
+(one corotational solve by plain scipy), error. Rows of other programs (peers.py) have
+version, ours_ms and differs instead of what they do not tell.
 """
 
 import json
