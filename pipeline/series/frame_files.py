@@ -1,5 +1,6 @@
 """The files that frames lie in: inline .vtu and our own are read here, the others in a child process that may die."""
 
+import os
 from functools import lru_cache
 from os.path import isfile  # pathlib's raises where a name is longer than the system allows
 from pathlib import Path
@@ -43,22 +44,30 @@ def _check(file: Path) -> None:
 
 def fault(file: Path) -> str | None:
     """Return what is wrong with a file that is not there, empty or cut off; None where nothing shows."""
+    name = str(file)  # pathlib and file objects would take as long again, of thousands of files
     try:
-        found = file.stat()
+        found = os.stat(name)
     except (OSError, ValueError):  # ValueError: a name that no file can have
         return "is missing"
     if not S_ISREG(found.st_mode):
         return "is missing"
-    size = found.st_size
-    if not size:
+    if not found.st_size:
         return "is empty"
-    if file.suffix in (".vtu", ".pvtu", ".vtp"):
-        with open(file, "rb", buffering=0) as opened:
-            opened.seek(max(0, size - 200))
-            return None if b"</VTKFile>" in opened.read() else "is cut off: it does not end with </VTKFile>"
+    if name.endswith((".vtu", ".pvtu", ".vtp")):
+        return None if b"</VTKFile>" in _end(name, found.st_size) else "is cut off: it does not end with </VTKFile>"
     if file.suffix == ".vtk":  # nothing at its end tells
         return _legacy_fault(file, file.stat().st_mtime_ns)
     return None
+
+
+def _end(name: str, size: int) -> bytes:
+    """Return the last bytes of a file."""
+    opened = os.open(name, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+    try:
+        os.lseek(opened, max(0, size - 200), os.SEEK_SET)
+        return os.read(opened, 200)
+    finally:
+        os.close(opened)
 
 
 @lru_cache(maxsize=100_000)
