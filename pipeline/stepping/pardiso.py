@@ -45,6 +45,8 @@ class Factor:
         self._options[[0, 1, 27]] = 1, 2, int(dtype is np.float32)
         # one, kind of matrix, phase, size, silence, error
         self._numbers = np.array([1, _POSITIVE_DEFINITE, 0, self.size, 0, 0], dtype=np.int32)
+        arrays = (self._handle, self._entries, self._indptr, self._indices, self._options, self._numbers)
+        self._at = tuple(array.ctypes.data for array in arrays)  # now: at the program's end numpy cannot tell any more
         self._phase = _ANALYSE_AND_FACTOR
 
     def update(self, values: Floats) -> None:
@@ -68,12 +70,11 @@ class Factor:
 
     def _call(self, phase: int, b: np.ndarray | None, x: np.ndarray | None) -> None:
         self._numbers[2] = phase
-        one, kind, at, size, silent, error = (self._numbers.ctypes.data + 4 * i for i in range(6))
-        arrays = (self._handle, self._entries, self._indptr, self._indices, self._options, b, x)
-        handle, entries, indptr, indices, options, b_at, x_at = map(_address, arrays)
+        handle, entries, indptr, indices, options, one = self._at
+        kind, at, size, silent, error = (one + 4 * i for i in range(1, 6))
         library().pardiso(
             *map(ctypes.c_void_p, (handle, one, one, kind, at, size, entries, indptr, indices, None, one)),
-            *map(ctypes.c_void_p, (options, silent, b_at, x_at, error)),
+            *map(ctypes.c_void_p, (options, silent, _address(b), _address(x), error)),
         )
         if self._numbers[5] == -4:
             raise SolveError("the system's matrix is not positive definite")
