@@ -32,7 +32,8 @@ class BackwardEuler:
         x = np.multiply(v, self.dt)
         x += state.x
         x[self.body.supports.nodes] = held
-        return State(state.step + 1, x, v, memory), work + Work(steps=1)
+        work.steps += 1
+        return State(state.step + 1, x, v, memory), work
 
 
 def damping_ratio(z: float) -> float:

@@ -50,7 +50,8 @@ class BDF2:
         x_new = np.multiply(v_new, h)
         x_new += x_h
         x_new[self.body.supports.nodes] = held
-        return State(state.step + 1, x_new, v_new, {**remembered, **memory}), work + Work(steps=1)
+        work.steps += 1
+        return State(state.step + 1, x_new, v_new, {**remembered, **memory}), work
 
 
 def _onward(now: Floats, before: Floats, part: float, out: Floats) -> Floats:

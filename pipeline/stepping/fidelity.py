@@ -46,6 +46,7 @@ class Auto:
         # begins with
         self._x = np.full_like(body.mesh.points, np.nan)
         self._turned, self._from_rest = Turning(np.inf, np.inf), False
+        self._moving = bool(body.supports.motions)
         # rotations used and rotations reached, in turn
         e, d = len(body.mesh.cells), body.mesh.dimension
         self._used, self._reached = np.empty((2, e, d, d))
@@ -56,16 +57,19 @@ class Auto:
         turned = self._judged(stage, v)
         for _ in range(_PASSES):
             if turned.indicator <= self.tolerance:
-                return v, work + Work(indicator=turned.indicator)
+                break
             before = turned.indicator
-            work += self._pass(stage, v)
+            work += self._pass(self._x, stage, v)
             turned = self._judged(stage, v)
             if not turned.indicator <= max(self.tolerance, _SHRINKS * before):
                 break
         if turned.indicator <= self.tolerance:
-            return v, work + Work(indicator=turned.indicator)
+            work.indicator = turned.indicator
+            return v, work
         v, done = self.newton.solve(stage)
-        return v, work + done + Work(rung=CONVERGED)
+        work += done
+        work.rung = CONVERGED
+        return v, work
 
     def _first(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v of the first solve and its work."""
@@ -74,20 +78,22 @@ class Auto:
             return self.linear.solve(stage)
         if stage.start is not stage.now:
             self.body.turn(stage.start, self._reached)
-        v = np.empty_like(stage.v_h)
-        return v, self._pass(stage, v)
+        v = stage.v_h.copy()
+        return v, self._pass(stage.start, stage, v)
 
-    def _pass(self, stage: Stage, v: Floats) -> Work:
-        """Write into v the solution with the rotations reached, which are used from now on."""
+    def _pass(self, x: Floats, stage: Stage, v: Floats) -> Work:
+        """Improve v by a solve with the rotations reached at x (n, d), which are used from now on."""
         self._used, self._reached = self._reached, self._used
         self._from_rest = False
-        return self.passes.pass_from(stage.x_h, stage, v, self._used) + Work(rung=COROTATIONAL)
+        work = self.passes.pass_from(x, stage, v, self._used)
+        work.rung = COROTATIONAL
+        return work
 
     def _judged(self, stage: Stage, v: Floats) -> Turning:
         """Return how far the stage's end has turned from the rotations used; a bound will do where it is low enough."""
         np.multiply(v, stage.h, out=self._x)
         self._x += stage.x_h
-        if self.body.supports.motions:  # where they are to the last bit
+        if self._moving:  # where they are to the last bit
             self._x[self.body.supports.nodes] = stage.held
         bound = self.body.turning_bound(self._x) if self._from_rest else np.inf
         if bound <= self.tolerance:

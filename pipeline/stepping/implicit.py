@@ -139,7 +139,7 @@ class Prefactored:
         b -= self.system.product(self._hK, np.subtract(stage.x_h, body.mesh.points, out=self._u))
         v = stage.v_h.copy()
         work = self.system.solve(held_velocity(stage, stage.x_h, body, self._held), v)
-        work += Work(iterations=1)
+        work.iterations += 1
         if self._setup is not None:
             work, self._setup = work + self._setup, None
         return v, work
@@ -152,13 +152,13 @@ class FrozenPasses:
         self.body = body
         self.system = StageSystem(body, solver)
         self.passes = passes
-        self._x, self._reached = np.empty_like(body.mesh.points), np.empty_like(body.mesh.points)
+        self._x, self._reached, self._away = np.empty((3, *body.mesh.points.shape))
         self._held = np.empty((len(body.supports.nodes), body.mesh.dimension))
         body.rehearse()
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v after the last pass."""
-        v = np.empty_like(stage.v_h)
+        v = stage.v_h.copy()
         work = self.pass_from(stage.start, stage, v, stage.R)
         for _ in range(self.passes - 1):
             np.multiply(v, stage.h, out=self._x)
@@ -167,21 +167,23 @@ class FrozenPasses:
         return v, work
 
     def pass_from(self, x: Floats, stage: Stage, v: Floats, R: Floats | None = None) -> Work:
-        """Write into v the solution linearised at x (n, d), with the law's rotations there or with R."""
+        """Write into v, which enters as the guess, the solution linearised at x (n, d), with its rotations or with R."""
         body, h, system = self.body, stage.h, self.system
         work = system.linearise(x, h, R)
         held = held_velocity(stage, x, body, self._held)
-        np.copyto(v, stage.v_h)
-        ahead = x is not stage.x_h
+        ahead, away = x is not stage.x_h, stage.v_h
         if ahead:
             np.subtract(x, stage.x_h, out=self._reached)
             self._reached /= h
+            away = np.subtract(away, self._reached, out=self._away)
             v -= self._reached
-        b = body.momentum(v, system.b)
+        b = body.momentum(away, system.b)
         system.f += body.load
         system.f *= h
         b += system.f
-        work += system.solve(held, v) + Work(iterations=1, rotations=1)
+        work += system.solve(held, v)
+        work.iterations += 1
+        work.rotations += 1
         if ahead:
             v += self._reached
         return work

@@ -25,7 +25,9 @@ class State:
 
 @dataclass(slots=True)  # not frozen: that makes it five times slower to make, several times a step
 class Work:
-    """What was done: counts that machines share, and the seconds that they do not. Not to be changed.
+    """What was done: counts that machines share, and the seconds that they do not.
+
+    Who is returned one may count on in it.
 
     `rung` and `indicator` say which model the most demanding step needed, and its spurious volume (fidelity.py).
     `history` has these two and the solves of each step of model = "auto", for as long as someone asks.
