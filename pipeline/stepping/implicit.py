@@ -167,7 +167,7 @@ class FrozenPasses:
         return v, work
 
     def pass_from(self, x: Floats, stage: Stage, v: Floats, R: Floats | None = None) -> Work:
-        """Write into v, which enters as the guess, the solution linearised at x (n, d), with its rotations or with R."""
+        """Write into v, which enters as the guess, the solution linearised at x (n, d), by its rotations or by R."""
         body, h, system = self.body, stage.h, self.system
         work = system.linearise(x, h, R)
         held = held_velocity(stage, x, body, self._held)
