@@ -91,8 +91,10 @@ def stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     if body.law.constant_tangent:
         return Prefactored(body, _linear_solver(body, h, method, constant=True), h)
     solver = _linear_solver(body, h, method, constant=False)
+    auto = method.model == "auto"
+    body.rehearse(turning=auto, tangents=not auto and method.iterations == "converged")
     limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
-    if method.model == "auto":
+    if auto:
         # the linear rung keeps its factor, so it has a solver of its own
         linear = Body(body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs)
         prefactored = Prefactored(linear, _linear_solver(body, h, method, constant=True), h)

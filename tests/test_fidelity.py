@@ -73,6 +73,18 @@ def test_the_compiled_turning_is_the_plain_one_and_its_bound_holds(d: int, shake
         assert bound < 20 * exact  # of use where rotations are small
 
 
+@pytest.mark.parametrize("d", [2, 3])
+def test_what_is_not_a_number_has_turned_without_bound(d: int) -> None:
+    body = solid(box([1.0, 1.0, 1.0], [2, 2, 2]) if d == 3 else rectangle([1.0, 1.0], [3, 3]), "corotational", held=[])
+    x = body.mesh.points.copy()
+    x[-1, 0] = np.nan
+    R, S = np.empty((2, *body.rotations(x).shape))
+    assert body.turning_bound(x) == np.inf
+    for used in (None, R):
+        turned = body.turning(x, used, S)
+        assert turned.indicator == turned.from_rest == np.inf
+
+
 @pytest.mark.parametrize(("velocity", "rungs"), [(-1.0, {(0, 1): 40}), (-20.0, {(0, 1): 36, (1, 1): 3, (1, 2): 1})])
 def test_a_calm_bar_is_solved_linearly_and_a_livelier_one_where_it_must(velocity: float, rungs: dict) -> None:
     # the counts of method.md, section 3; (rung, solves) of 40 steps

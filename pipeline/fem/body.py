@@ -117,7 +117,11 @@ class Body:
         V, F = self.mesh.rest_volumes, deformation_gradient(self.mesh, x)
         e, d = F.shape[:2]
         share = np.broadcast_to((V[:, None] * F.reshape(e, d * d))[:, None], (e, d + 1, d * d))
-        return polar(nodal_sums(self.mesh, share).reshape(-1, d, d))
+        R = polar(nodal_sums(self.mesh, share).reshape(-1, d, d))
+        if out is None:
+            return R
+        np.copyto(out, R)
+        return out
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, d)."""
@@ -131,8 +135,12 @@ class Body:
         out[:] = nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
         return out
 
-    def rehearse(self) -> None:
-        """Have kernels, where there are any, loaded before the steps that will ask for them."""
+    def rehearse(self, *, turning: bool = False, tangents: bool = False) -> None:
+        """Have kernels loaded, or compiled, before the steps that will ask for them.
+
+        Those of one solve; on demand those that judge rotations, and those of Newton's method.
+        """
+        self.momentum(np.zeros_like(self.mesh.points))
 
     def turn(self, x: Floats, R: Floats) -> float:
         """Write the law's frame of every cell into R (e, d, d); return the spurious volume of the most turned one."""

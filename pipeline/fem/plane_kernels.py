@@ -183,27 +183,29 @@ def _apart(F, R, U, mu, lam):
 def turning(x, cells, G, mu, lam, used, reached):
     """Write the polar rotations R into reached (e, 2, 2); return three numbers over all cells.
 
-    They are the least tr(U^T R), the largest |P(F,R) - P(F,U)|, and the least tr R. U are the rotations `used`
-    (e, 2, 2), or, where there are none, identities.
+    They are the least tr(U^T R), the largest |P(F,R) - P(F,U)|, and the least tr R; traces are NaN where x is. U are
+    the rotations `used` (e, 2, 2), or, where there are none, identities.
     """
-    least, largest, own = 2.0, 0.0, 2.0
+    least, largest, own, finite = 2.0, 0.0, 2.0, 0.0
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
         R = _polar(F)
         U = _given(used, e) if len(used) > 0 else (1.0, 0.0)
         least = min(least, 2.0 * (R[0] * U[0] + R[1] * U[1]))
-        largest, own = max(largest, _apart(F, R, U, mu, lam)), min(own, 2.0 * R[0])
+        apart = _apart(F, R, U, mu, lam)
+        largest, own, finite = max(largest, apart), min(own, 2.0 * R[0]), finite + 0.0 * apart
         _store(reached, e, R)
-    return least, np.sqrt(largest), own
+    return least + finite, np.sqrt(largest), own + finite
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def bounds(x, cells, G, mu, lam):
     """Return the largest tan(angle / 2) and |P(F,R) - P(F,I)|: in the plane R is so cheap that they are no bounds."""
-    tangent, largest = 0.0, 0.0
+    tangent, largest, finite = 0.0, 0.0, 0.0
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
         R = _polar(F)
         tangent = max(tangent, abs(R[1]) / (1.0 + R[0]) if R[0] > -1.0 else np.inf)
-        largest = max(largest, _apart(F, R, (1.0, 0.0), mu, lam))
-    return tangent, np.sqrt(largest)
+        apart = _apart(F, R, (1.0, 0.0), mu, lam)
+        largest, finite = max(largest, apart), finite + 0.0 * apart
+    return tangent + finite, np.sqrt(largest)

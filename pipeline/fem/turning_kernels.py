@@ -13,13 +13,13 @@ from pipeline.fem.kernels import LANES, _gradients, _lanes, _load, _polar, _stor
 def turning(x, cells, G, mu, lam, used, reached):
     """Write the polar rotations R into reached (e, 3, 3); return three numbers over all cells.
 
-    They are the least tr(U^T R), the largest |P(F,R) - P(F,U)|, and the least tr R. U are the rotations `used`
-    (e, 3, 3), or, where there are none, identities.
+    They are the least tr(U^T R), the largest |P(F,R) - P(F,U)|, and the least tr R; traces are NaN where x is. U are
+    the rotations `used` (e, 3, 3), or, where there are none, identities.
     """
     F, R, P, W, root, good, C = _lanes()
     U, Q = np.zeros((9, LANES)), np.zeros((9, LANES))
     U[0], U[4], U[8] = 1.0, 1.0, 1.0
-    least, largest, own = 3.0, 0.0, 3.0
+    least, largest, own, finite = 3.0, 0.0, 3.0, 0.0
     for first in range(0, len(reached), LANES):
         count = min(LANES, len(reached) - first)
         _gradients(x, cells, G[first // LANES], first, P, F)
@@ -34,8 +34,9 @@ def turning(x, cells, G, mu, lam, used, reached):
                 trace += R[k, l] * U[k, l]
                 apart += (P[k, l] - Q[k, l]) ** 2
             least, largest, own = min(least, trace), max(largest, apart), min(own, R[0, l] + R[4, l] + R[8, l])
+            finite += 0.0 * apart
         _store(R, first, count, reached)
-    return least, np.sqrt(largest), own
+    return least + finite, np.sqrt(largest), own + finite
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

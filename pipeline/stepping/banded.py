@@ -3,6 +3,9 @@
 No fill-in to find and nothing but dense arithmetic: the fastest factor of small meshes.
 """
 
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -14,6 +17,10 @@ from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping.state import Work
+
+Factor = TypeVar("Factor")
+# single precision may lose what keeps a matrix definite: the mass of a free, stiff body in long steps
+_SHIFTS = (0.0, 1e-6, 1e-5, 1e-4)
 
 
 class Band:
@@ -48,9 +55,15 @@ class Band:
         fill(values.reshape(-1), self._taken, self._target, into.reshape(-1))
         return into.T
 
-    def factored(self, values: Floats, dtype: type) -> np.ndarray:
-        """Return the Cholesky factor in a new band; raises SolveError where there is none."""
-        return factored(self.filled(values, np.empty((self.size, self.width), dtype=dtype)))
+    def preconditioner(self, values: Floats) -> np.ndarray:
+        """Return about the Cholesky factor, in single precision; raises SolveError where there is none."""
+
+        def with_shift(shift: float) -> np.ndarray:
+            band = self.filled(values, np.empty((self.size, self.width), dtype=np.float32))
+            band[0] *= 1 + shift
+            return factored(band)
+
+        return shifted(with_shift)
 
 
 _BANDS: WeakKeyDictionary[BlockPattern, Band] = WeakKeyDictionary()
@@ -71,6 +84,17 @@ def factored(band: np.ndarray) -> np.ndarray:
     return np.asarray(factor)
 
 
+def shifted(factor: Callable[[float], Factor]) -> Factor:
+    """Return the factor of a matrix whose diagonal is made larger by the first part of _SHIFTS that does.
+
+    Raises SolveError where none does: the matrix is far from positive definite.
+    """
+    for shift in _SHIFTS[:-1]:
+        with suppress(SolveError):
+            return factor(shift)
+    return factor(_SHIFTS[-1])
+
+
 class BandedCholesky:
     """A factor of the band for every new matrix; positive definite ones only."""
 
@@ -78,6 +102,8 @@ class BandedCholesky:
         self._band = band_of(pattern)
         self._storage = np.empty((self._band.size, self._band.width))
         self._y = np.empty((pattern.nodes, pattern.dimension))
+        d = pattern.dimension
+        self._band.filled(np.zeros((pattern.blocks, d, d)), self._storage)  # the kernel is compiled, or loaded, here
 
     def update(self, values: Floats, frames: object = None) -> Work:
         """Factor the matrix; raises SolveError where it is not positive definite."""

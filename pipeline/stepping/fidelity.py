@@ -37,6 +37,7 @@ class Auto:
         from pipeline.stepping.kernels import same
 
         self._same = same
+        same(body.mesh.points[:0], body.mesh.points[:0])  # compiled, or loaded, here
         self.body = body
         self.linear = linear
         self.passes = passes

@@ -154,7 +154,6 @@ class FrozenPasses:
         self.passes = passes
         self._x, self._reached, self._away = np.empty((3, *body.mesh.points.shape))
         self._held = np.empty((len(body.supports.nodes), body.mesh.dimension))
-        body.rehearse()
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v after the last pass."""

@@ -8,7 +8,6 @@ multigrid  the same with a multigrid cycle in place of the factor: for large mes
 cg         conjugate gradients with block Jacobi; no factor: for small steps, where few iterations suffice
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -19,6 +18,7 @@ from pipeline.fem.assembly import BlockPattern
 from pipeline.memory import installed_bytes
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping.banded import band_of
+from pipeline.stepping.conjugate_gradients import Frames
 from pipeline.stepping.pardiso import library
 from pipeline.stepping.state import Work
 from pipeline.stepping.warped import factor_kind
@@ -39,9 +39,6 @@ _CYCLE_BYTES = 2.5
 _MOST_OF_MEMORY = 0.5
 # of h omega_max: at 8.4 and 100k tetrahedra 28 iterations without a cycle took 90 ms, 6 with one 87
 _SOFT = 8.0
-
-# writes the nodes' rotations (n, d, d)
-Frames = Callable[[Floats], object]
 
 
 class LinearSolver(Protocol):

@@ -82,7 +82,7 @@ def _below(A: bsr_array, modes: Floats, graph: csr_array) -> Callable[[Singles],
     band = Band(pattern)
     if band.megabytes > _LAST_BAND:
         return Cycle(A, modes, graph)
-    factor = band.factored(values, np.float32)
+    factor = band.preconditioner(values)
     sort = (pattern.dimension * band.order[:, None] + np.arange(pattern.dimension)).ravel()
 
     def solve(r: Singles) -> Singles:

@@ -118,7 +118,7 @@ class Converged:
             return SolveError(f"{said}: try a smaller schedule.dt or a stiffer body")
         return SolveError(f"{said}try a smaller schedule.dt or a larger method.max_iterations")
 
-    def _terms(self, x: Floats, stage: Stage) -> tuple[float, float, float]:
+    def _terms(self, x: Floats, stage: Stage) -> _Terms:
         """Return the terms of phi(x) [J]."""
         np.subtract(x, self._y, out=self._away)
         inertia = float(np.vdot(self._away, self.body.momentum(self._away, self._Ma))) / (2 * stage.h**2)

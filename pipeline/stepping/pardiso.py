@@ -37,9 +37,9 @@ class Factor:
 
     def __init__(self, pattern: BlockPattern, dtype: type) -> None:
         self.size = pattern.nodes * pattern.dimension
+        self._handle = np.zeros(64, dtype=np.int64)
         self._take, self._indptr, self._indices = _upper(pattern)
         self._entries: np.ndarray = np.empty(len(self._take), dtype=dtype)
-        self._handle = np.zeros(64, dtype=np.int64)
         self._options = np.zeros(64, dtype=np.int32)
         # own options: nested dissection, no refinement, single or double
         self._options[[0, 1, 27]] = 1, 2, int(dtype is np.float32)
@@ -65,7 +65,7 @@ class Factor:
         return x
 
     def __del__(self) -> None:
-        if self._phase == _FACTOR:
+        if self._handle.any():  # what a failed factor leaves, too
             self._call(_RELEASE, None, None)
 
     def _call(self, phase: int, b: np.ndarray | None, x: np.ndarray | None) -> None:

@@ -21,7 +21,7 @@ from scipy.sparse.linalg import splu
 from pipeline.fem.assembly import BlockPattern
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping import pardiso
-from pipeline.stepping.banded import band_of
+from pipeline.stepping.banded import band_of, shifted
 from pipeline.stepping.conjugate_gradients import ConjugateGradients, Frames
 from pipeline.stepping.multigrid import Cycle, rigid_modes
 from pipeline.stepping.state import Work
@@ -68,13 +68,19 @@ def rest_factor(pattern: BlockPattern, rest: Rest) -> RestFactor:
 
 def _banded(pattern: BlockPattern, rest: Rest) -> RestFactor:
     band = band_of(pattern)
-    factor = band.factored(rest.values(), np.float32)
+    factor = band.preconditioner(rest.values())
     return RestFactor("banded", band.order, lambda b: spbtrs(factor, b, lower=1, overwrite_b=1)[0])
 
 
 def _by_mkl(pattern: BlockPattern, rest: Rest) -> RestFactor:
-    factor = pardiso.Factor(pattern, np.float32)
-    factor.update(rest.values())
+    factor, values = pardiso.Factor(pattern, np.float32), rest.values()
+    diagonal = values[pattern.diagonal]
+
+    def with_shift(shift: float) -> None:
+        values[pattern.diagonal] = (1 + shift) * diagonal
+        factor.update(values)
+
+    shifted(with_shift)
     y = np.empty(factor.size, dtype=np.float32)
     return RestFactor("mkl", np.arange(pattern.nodes), lambda b: factor.solve(b, y))
 
