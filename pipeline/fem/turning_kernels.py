@@ -65,7 +65,10 @@ def bounds(x, cells, G, mu, lam):
             t2 = axial / (4.0 * others * others) if others > 0.0 else np.inf
             tangents[l] = max(tangents[l], t2)
             strains[l] = max(strains[l], square - 2.0 * trace + 3.0)  # |F - I|^2
-    t, h = np.sqrt(tangents.max()), np.sqrt(max(strains.max(), 0.0))
+    t2, h2 = 0.0, 0.0
+    for l in range(LANES):
+        t2, h2 = max(t2, tangents[l]), max(h2, strains[l])
+    t, h = np.sqrt(t2), np.sqrt(h2)
     apart = 4.0 * mu * (np.sqrt(2.0) * t * t + t * h)
     apart += 2.0 * lam * (np.sqrt(6.0) * t * h + np.sqrt(3.0) * t * t * (2.0 + np.sqrt(2.0) * h))
     return t, apart

@@ -28,7 +28,7 @@ from pipeline.stepping.warped import factor_kind
 _CONSTANT_BAND = 20.0
 _CONSTANT_BAND_WITHOUT_MKL = 60.0
 _CHANGING_BAND = 0.5
-# at 12.6 MB a step took 8 ms with the factor and 10.5 with multigrid, at 48.4 26 and 24, at 192 77 (MKL's) and 63
+# at 12.6 MB a step took 8 ms with the factor and 10.5 with multigrid, at 48.4 26 and 24, at 192 77 (MKL's) and 64
 _WARPED_BAND = 40.0
 # SuperLU against multigrid, for a matrix that stays: 37 and 50 ms a step at 192 MB, 139 and 115 at 624
 _LU_BAND = 400.0

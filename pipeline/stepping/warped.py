@@ -2,11 +2,11 @@ r"""Conjugate gradients with the rest state's factor, turned along with the body
 
 The systems of a motion, M + h^2 sum_e R K_e R^T, differ from the one at rest, A_0, mostly by rotations. So A_0 is
 factored once and Q A_0^-1 Q^T preconditions them all, Q the block diagonal of nodal rotations: on the thesis' bar in
-10 000 tetrahedra, to 1e-6, 10 to 16 iterations in the violent steps where A_0^-1 alone needs 60 to 133. Nothing is
+10 000 tetrahedra, to 1e-6, 2 to 10 iterations, thrown three times as hard up to 15. Nothing is
 factored in a step. The factor is in single precision: it only preconditions.
 
 For stiff steps of middle meshes; small ones are faster with a banded factor every step. On large ones a multigrid
-cycle of A_0, turned the same way, takes the factor's place: 13 to 16 iterations at a million tetrahedra instead of 6 to
+cycle of A_0, turned the same way, takes the factor's place: 12 to 16 iterations at a million tetrahedra instead of 3 to
 10, but each a sixth as long, and with a sixth of the set-up. Stretched cells, 1 : 3 : 9, cost it 60.
 """
 
