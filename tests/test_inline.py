@@ -111,6 +111,36 @@ def test_ghost_cells_pieces_and_doctypes_are_left_to_vtk(tmp_path):
     assert inline_file(tmp_path / "f.vtu") is not None
 
 
+@pytest.mark.parametrize("name", ["types", "connectivity", "Points"])
+def test_arrays_of_no_components_are_left_to_vtk(tmp_path, name):
+    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    start = text.index(f'Name="{name}"')
+    end = text.index(">", start)
+    none = text[start:end].replace(' NumberOfComponents="3"', "") + ' NumberOfComponents="0"'
+    (tmp_path / "f.vtu").write_text(text[:start] + none + text[end:])
+    assert inline_file(tmp_path / "f.vtu") is None
+    if name == "Points":
+        with pytest.raises(SeriesError, match=r"f\.vtu: cannot be read \("):
+            read_series(tmp_path / "f.vtu")
+    else:  # it does not look at their components
+        assert len(read_series(tmp_path / "f.vtu")) == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [('NumberOfPoints="27"', 'NumberOfPoints="-27"'), ('version="1.0"?', 'version="1.0" encoding="nonsense"?')],
+)
+def test_what_makes_no_sense_is_told_in_one_line(tmp_path, old, new):
+    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    changed = text.replace(old, new, 1).replace('Components="3"', 'Components="-3"')
+    assert old in text
+    (tmp_path / "f.vtu").write_text(changed)
+    assert inline_file(tmp_path / "f.vtu") is None
+    with pytest.raises(SeriesError, match=r"f\.vtu: .+") as caught:
+        read_series(tmp_path / "f.vtu")
+    assert "\n" not in str(caught.value)
+
+
 def test_more_than_the_memory_is_for_the_guarded_child(tmp_path, monkeypatch):
     path = saved(rich(), tmp_path / "f.vtu")
     monkeypatch.setattr(inline, "_LEAST_BYTES", 1000)

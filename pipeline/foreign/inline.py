@@ -88,7 +88,7 @@ def inline_file(file: Path) -> Inline | None:
     """Return what an inline .vtu says, None for every other file."""
     try:
         return _read(file)
-    except (_NotInlineError, ElementTree.ParseError, struct.error, OSError, ValueError, KeyError, AttributeError):
+    except Exception:  # whatever there is to stumble on in a file of another program: who reads it next will tell
         return None
 
 
@@ -198,6 +198,8 @@ def _packed(array: ElementTree.Element, tuples: int | None, way: _Way) -> Packed
     dtype = way.order + _TYPES[array.attrib["type"]]
     components = int(array.get("NumberOfComponents", 1))
     item = int(dtype[2:]) * components
+    if components < 1 or (tuples or 0) < 0:
+        raise _NotInlineError
     if tuples is None:
         tuples = sum(sizes) // item
     if sum(sizes) != tuples * item or not sum(sizes):
