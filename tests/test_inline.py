@@ -12,6 +12,7 @@ from pipeline.errors import SeriesError
 from pipeline.foreign import grids, inline
 from pipeline.foreign.inline import inline_file
 from pipeline.series import engine, read_series
+from pipeline.series.frame_files import read_grid
 from pipeline.series.writer import dataset_to_pvd
 from tests.test_series import CELLS, POINTS, TIMES, fields, grid_at, moved, opened, pvd, written
 
@@ -146,6 +147,15 @@ def test_more_than_the_memory_is_for_the_guarded_child(tmp_path, monkeypatch):
     monkeypatch.setattr(inline, "_LEAST_BYTES", 1000)
     monkeypatch.setattr(inline, "_BYTES_PER_BYTE", 0)
     assert inline_file(path) is None
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_entities_in_wide_characters_are_not_read_inline(tmp_path, encoding):
+    text = saved(rich(), tmp_path / "f.vtu").read_text().partition("?>")[2].replace('Name="speed"', 'Name="&b;"')
+    (tmp_path / "f.vtu").write_bytes(f'<!DOCTYPE a [<!ENTITY b "c">]>{text}'.encode(encoding))
+    assert inline_file(tmp_path / "f.vtu") is None
+    with pytest.raises(SeriesError, match="UTF-16"):
+        read_grid(tmp_path / "f.vtu")
 
 
 def numbers(grid):

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import SeriesError
+from pipeline.foreign import claims
 
 Ints = NDArray[np.int64]
 _TYPES = {f"{word}Int{8 * n}": f"{kind}{n}" for word, kind in (("", "i"), ("U", "u")) for n in (1, 2, 4, 8)} | {
@@ -135,7 +136,7 @@ def _read(file: Path) -> Inline:
         if any(word in content for word in _ELSEWHERE):
             raise _NotInlineError
         content += opened.read()
-    if b"<!DOCTYPE" in content:  # entities are for claims.py to refuse
+    if claims.wide(content) or b"<!DOCTYPE" in content:  # entities are for claims.py to refuse
         raise _NotInlineError
     root = ElementTree.fromstring(content)
     (grid,) = root
