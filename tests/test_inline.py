@@ -149,6 +149,25 @@ def test_more_than_the_memory_is_for_the_guarded_child(tmp_path, monkeypatch):
     assert inline_file(path) is None
 
 
+def test_a_large_file_is_left_to_the_guarded_child_unread(tmp_path, monkeypatch):
+    path = saved(rich(), tmp_path / "f.vtu")
+    monkeypatch.setattr(inline, "_LARGEST", path.stat().st_size)
+    assert inline_file(path) is not None
+    monkeypatch.setattr(inline, "_LARGEST", path.stat().st_size - 1)
+    monkeypatch.setattr(inline.ElementTree, "fromstring", lambda _: pytest.fail("read"))
+    assert inline_file(path) is None
+    assert read_grid(path).point_data["speed"][-1] == 1
+
+
+@pytest.mark.parametrize("many", ["<a/>" * 300_000, "<a " + " ".join(f"a{i}=''" for i in range(150_000)) + "/>"])
+def test_elements_without_number_are_left_to_the_guarded_child(tmp_path, monkeypatch, many):
+    path = saved(rich(), tmp_path / "f.vtu")
+    path.write_text(path.read_text().replace("<PointData", many + "<PointData", 1))
+    assert inline_file(path) is not None
+    monkeypatch.setattr(inline, "_MOST_MARKS", 250_000)
+    assert inline_file(path) is None
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
 def test_entities_in_wide_characters_are_not_read_inline(tmp_path, encoding):
     text = saved(rich(), tmp_path / "f.vtu").read_text().partition("?>")[2].replace('Name="speed"', 'Name="&b;"')

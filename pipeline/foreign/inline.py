@@ -6,6 +6,7 @@ way (appended, ASCII, several pieces, ghost cells, polyhedra), or does not add u
 but Python and numpy handles the bytes: a damaged file cannot take the process along.
 """
 
+import os
 import struct
 import zlib
 from binascii import a2b_base64
@@ -34,6 +35,8 @@ _SECTIONS = {"PointData": "NumberOfPoints", "CellData": "NumberOfCells"}
 _HEAD, _ELSEWHERE = 4096, (b'format="appended"', b'format="ascii"')  # not worth reading the rest
 # decoded whole, what takes more than this and more than so many times its file is for the guarded child process
 _LEAST_BYTES, _BYTES_PER_BYTE = 2 * 10**9, 40
+# parsing takes up to four times the file; marks are what elements and attributes are made of, some 100 bytes each
+_LARGEST, _MARKS, _MOST_MARKS = _LEAST_BYTES // 4, (b"<", b'"', b"'"), 10**6
 _CORNERS = {1: 1, 3: 2, 5: 3, 9: 4, 10: 4, 12: 8, 13: 6, 14: 5, 21: 3, 22: 6, 23: 8, 24: 10, 25: 20}  # of VTK's kinds
 
 
@@ -132,10 +135,13 @@ def _inflated(block: bytes, size: int) -> bytes:
 
 def _read(file: Path) -> Inline:
     with file.open("rb") as opened:
-        content = opened.read(_HEAD)
-        if any(word in content for word in _ELSEWHERE):
+        size, head = os.fstat(opened.fileno()).st_size, opened.read(_HEAD)
+        if size > _LARGEST or any(word in head for word in _ELSEWHERE):
             raise _NotInlineError
-        content += opened.read()
+        opened.seek(0)
+        content = opened.read(size)
+    if sum(map(content.count, _MARKS)) > _MOST_MARKS:
+        raise _NotInlineError
     if claims.wide(content) or b"<!DOCTYPE" in content:  # entities are for claims.py to refuse
         raise _NotInlineError
     root = ElementTree.fromstring(content)
