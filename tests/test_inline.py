@@ -230,6 +230,23 @@ def test_all_fields_cost_one_reading_of_each_frame(tmp_path, monkeypatch):
     assert counts.count("f1.vtu") == 3
 
 
+@pytest.mark.parametrize("mode", ["inline", "appended"])
+def test_points_are_counted_and_cells_held_once(tmp_path, monkeypatch, mode):
+    for i in range(12):
+        saved(grid_at(i / 10), tmp_path / f"f{i:02}.vtu", mode=mode, compressor="none")
+    store = engine.Store(read_series(tmp_path))
+    grids = [store.grid(i) for i in range(12)]
+    size = grids[0].nbytes
+    assert POINTS.nbytes <= size < 1.5 * POINTS.nbytes  # in base64 where it is inline
+    for name in ("types", "offsets", "connectivity"):
+        assert len({id(getattr(grid, name)) for grid in grids}) == 1
+    monkeypatch.setattr(engine, "_KEPT_BYTES", 5 * size)
+    store = engine.Store(read_series(tmp_path))
+    for i in range(12):
+        store.grid(i)
+        assert len(store._kept) == min(i + 1, 5)
+
+
 def test_cells_that_change_are_seen_by_every_field(tmp_path):
     source = written(tmp_path, numbers=True)
     cells = CELLS.copy()

@@ -58,7 +58,8 @@ class Packed(NamedTuple):
 class Inline(NamedTuple):
     """One file: arrays by their names, still packed, but for the cells (types, offsets, connectivity)."""
 
-    points: Packed
+    count: int  # of points
+    points: "Arrays"  # one, by the name Points
     cells: tuple[NDArray[np.uint8], Ints, Ints]
     sections: tuple["Arrays", "Arrays", "Arrays"]  # of points, cells and the whole
 
@@ -172,7 +173,8 @@ def _read(file: Path) -> Inline:
         cells = _cells(found["types"], found["offsets"], found["connectivity"], *counts.values())
     except SeriesError as error:
         raise _NotInlineError from error
-    return Inline(points, cells, (Arrays(file, of_points), Arrays(file, of_cells), Arrays(file, whole)))
+    sections = Arrays(file, of_points), Arrays(file, of_cells), Arrays(file, whole)
+    return Inline(points.shape[0], Arrays(file, {"Points": points}), cells, sections)
 
 
 def _children(element: ElementTree.Element, tag: str) -> list[ElementTree.Element]:
