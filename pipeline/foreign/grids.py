@@ -75,7 +75,9 @@ def plain_grid(file: Path, step: int) -> tuple[Any, ...]:
 def inline_grid(file: Path) -> Grid | None:
     """Return the instant of an inline .vtu, its arrays read when they are asked for; None for other files."""
     found = inline_file(file) if file.suffix == ".vtu" else None
-    return None if found is None else Grid(found.points, found.count, *found.cells, *found.sections)
+    if found is None:
+        return None
+    return Grid(Arrays(file, {"Points": found.points}), found.points.shape[0], *found.cells, *found.sections)
 
 
 def read_grid(file: Path, step: int = 0) -> Grid:

@@ -23,7 +23,8 @@ from pipeline.errors import SeriesError
 from pipeline.foreign import claims
 
 Ints = NDArray[np.int64]
-_TYPES = {f"{word}Int{8 * n}": f"{kind}{n}" for word, kind in (("", "i"), ("U", "u")) for n in (1, 2, 4, 8)} | {
+# the names of types in .vtu, and numpy's
+TYPES = {f"{word}Int{8 * n}": f"{kind}{n}" for word, kind in (("", "i"), ("U", "u")) for n in (1, 2, 4, 8)} | {
     "Float32": "f4",
     "Float64": "f8",
 }
@@ -58,8 +59,7 @@ class Packed(NamedTuple):
 class Inline(NamedTuple):
     """One file: arrays by their names, still packed, but for the cells (types, offsets, connectivity)."""
 
-    count: int  # of points
-    points: "Arrays"  # one, by the name Points
+    points: Packed
     cells: tuple[NDArray[np.uint8], Ints, Ints]
     sections: tuple["Arrays", "Arrays", "Arrays"]  # of points, cells and the whole
 
@@ -173,8 +173,7 @@ def _read(file: Path) -> Inline:
         cells = _cells(found["types"], found["offsets"], found["connectivity"], *counts.values())
     except SeriesError as error:
         raise _NotInlineError from error
-    sections = Arrays(file, of_points), Arrays(file, of_cells), Arrays(file, whole)
-    return Inline(points.shape[0], Arrays(file, {"Points": points}), cells, sections)
+    return Inline(points, cells, (Arrays(file, of_points), Arrays(file, of_cells), Arrays(file, whole)))
 
 
 def _children(element: ElementTree.Element, tag: str) -> list[ElementTree.Element]:
@@ -204,7 +203,7 @@ def _packed(array: ElementTree.Element, tuples: int | None, way: _Way) -> Packed
     sizes, packed, numbers = _blocks((array.text or "").strip(), way)
     if text and tuples:
         return Packed("S", (tuples,), sizes, packed, numbers)
-    dtype = way.order + _TYPES[array.attrib["type"]]
+    dtype = way.order + TYPES[array.attrib["type"]]
     components = int(array.get("NumberOfComponents", 1))
     item = int(dtype[2:]) * components
     if components < 1 or (tuples or 0) < 0:
