@@ -127,6 +127,24 @@ def test_arrays_of_no_components_are_left_to_vtk(tmp_path, name):
         assert len(read_series(tmp_path / "f.vtu")) == 1
 
 
+def test_cells_that_are_no_integers_are_left_to_vtk(tmp_path):
+    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    changed = text.replace('"Int64" IdType="1" Name="conn', '"Float64" Name="conn')
+    assert changed != text
+    (tmp_path / "f.vtu").write_text(changed)
+    assert inline_file(tmp_path / "f.vtu") is None
+
+
+def test_one_text_does_not_make_all_of_them_long(tmp_path, monkeypatch):
+    words = grids.inline_grid(saved(rich(), tmp_path / "f.vtu")).field_data
+    longest = 4 * 2 * len("words <&>")
+    monkeypatch.setattr(inline, "_LEAST_BYTES", longest)
+    assert words["words"].nbytes == longest
+    monkeypatch.setattr(inline, "_LEAST_BYTES", longest - 1)
+    with pytest.raises(SeriesError, match="2 texts that differ too much"):
+        words["words"]
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [('NumberOfPoints="27"', 'NumberOfPoints="-27"'), ('version="1.0"?', 'version="1.0" encoding="nonsense"?')],

@@ -122,6 +122,8 @@ def _texts(data: bytes, count: int) -> NDArray[Any]:
     *texts, rest = data.split(b"\0")
     if rest or len(texts) != count:
         raise ValueError(f"{len(texts)} texts, not {count}")
+    if 4 * count * max(map(len, texts)) > _LEAST_BYTES:  # numpy makes each as long as the longest
+        raise ValueError(f"{count} texts that differ too much in length")
     return np.array([text.decode() for text in texts])
 
 
@@ -252,6 +254,8 @@ def _cells(
     types: Packed, offsets: Packed, connectivity: Packed, points: int, cells: int
 ) -> tuple[NDArray[np.uint8], Ints, Ints]:
     """Return types, offsets from 0 on and connectivity; raises _NotInlineError where VTK should say what is wrong."""
+    if any(one.dtype[1] == "f" for one in (types, offsets, connectivity)):
+        raise _NotInlineError
     here = Path()
     kinds = unpacked(types, here, "types").astype(np.uint8).reshape(-1)
     ends = unpacked(offsets, here, "offsets").astype(np.int64).reshape(-1)
