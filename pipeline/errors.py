@@ -51,9 +51,10 @@ def shown(value: object) -> str:
 
 
 def shortened(text: str, longest: int = LONGEST_QUOTE) -> str:
-    """The text, or its beginning, on one line and printable."""
-    text = text if len(text) <= longest else text[: longest - 3] + "..."
-    return text if text.isprintable() else ascii(text)[1:-1]
+    """The text, or its beginning, on one line, printable and not longer than that."""
+    text = text[: longest + 1]  # escaped, it only becomes longer
+    text = text if text.isprintable() else ascii(text)[1:-1]
+    return text if len(text) <= longest else text[: longest - 3] + "..."
 
 
 def listed(names: Iterable[str]) -> str:

@@ -14,7 +14,7 @@ from pipeline.campaign import run_campaign
 from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.cli.terminal import Bars
-from pipeline.errors import SolveError
+from pipeline.errors import SolveError, shortened
 from pipeline.stepping.backward_euler import BackwardEuler
 from tests.bodies import without_figures, write_case
 
@@ -104,6 +104,17 @@ def test_what_is_quoted_stays_short(tmp_path, capfd, name):
     assert run("beam.toml") == 2
     error = capfd.readouterr().err
     assert error.startswith("CaseError: beam.toml: ") and error.count("\n") == 1 and len(error) < 2000
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["\u200b" * 57, "\u200b" * 10, "a" * 59 + "\x1b", "a" * 60 + "\x1b", "\U000e0001" * 10**6],
+    ids=["many", "few", "last", "beyond", "million"],
+)
+def test_what_is_escaped_stays_short_too(text):
+    quoted = shortened(text)
+    assert quoted.isprintable() and len(quoted) == 60
+    assert len(shortened(text, 200)) <= 200
 
 
 @pytest.mark.parametrize(

@@ -210,6 +210,25 @@ def test_entities_are_refused(tmp_path, name):
             read_mesh(tmp_path / name)
 
 
+@pytest.mark.parametrize("name", ["it.vtu", "it.pvd", "it.xdmf", "it.pvtu", "it.vtp"])
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
+def test_entities_in_wide_characters_are_refused(tmp_path, name, encoding):
+    # U+613C is the bytes "<a" in UTF-16: not where the first element begins
+    text = BOMB.replace("?>", "?><!--\u613c-->", 1) + "<VTKFile><Collection>&k;</Collection></VTKFile>"
+    (tmp_path / name).write_bytes(text.encode(encoding))
+    assert "UTF-16" in (refusal(tmp_path / name) or "")
+
+
+@pytest.mark.parametrize("before", ["<!-- <a> -->", "<?b <a> ?>"])
+def test_entities_behind_what_is_no_element_are_refused(tmp_path, before):
+    text = BOMB.replace("?>", "?>" + before, 1) + "<VTKFile>&k;</VTKFile>"
+    (tmp_path / "it.pvd").write_text(text)
+    with pytest.raises(SeriesError, match="declares entities"):
+        read_series(tmp_path / "it.pvd")
+    (tmp_path / "it.pvd").write_text(before + '<!-- <!ENTITY --><VTKFile type="Collection"></VTKFile>')
+    assert refusal(tmp_path / "it.pvd") is None
+
+
 @pytest.mark.parametrize(
     ("name", "bad"),
     [

@@ -12,6 +12,7 @@ from pipeline.errors import SeriesError
 from pipeline.foreign import grids, inline
 from pipeline.foreign.inline import inline_file
 from pipeline.series import engine, read_series
+from pipeline.series.frame_files import read_grid
 from pipeline.series.writer import dataset_to_pvd
 from tests.test_series import CELLS, POINTS, TIMES, fields, grid_at, moved, opened, pvd, written
 
@@ -111,11 +112,87 @@ def test_ghost_cells_pieces_and_doctypes_are_left_to_vtk(tmp_path):
     assert inline_file(tmp_path / "f.vtu") is not None
 
 
+@pytest.mark.parametrize("name", ["types", "connectivity", "Points"])
+def test_arrays_of_no_components_are_left_to_vtk(tmp_path, name):
+    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    start = text.index(f'Name="{name}"')
+    end = text.index(">", start)
+    none = text[start:end].replace(' NumberOfComponents="3"', "") + ' NumberOfComponents="0"'
+    (tmp_path / "f.vtu").write_text(text[:start] + none + text[end:])
+    assert inline_file(tmp_path / "f.vtu") is None
+    if name == "Points":
+        with pytest.raises(SeriesError, match=r"f\.vtu: cannot be read \("):
+            read_series(tmp_path / "f.vtu")
+    else:  # it does not look at their components
+        assert len(read_series(tmp_path / "f.vtu")) == 1
+
+
+def test_cells_that_are_no_integers_are_left_to_vtk(tmp_path):
+    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    changed = text.replace('"Int64" IdType="1" Name="conn', '"Float64" Name="conn')
+    assert changed != text
+    (tmp_path / "f.vtu").write_text(changed)
+    assert inline_file(tmp_path / "f.vtu") is None
+
+
+def test_one_text_does_not_make_all_of_them_long(tmp_path, monkeypatch):
+    words = grids.inline_grid(saved(rich(), tmp_path / "f.vtu")).field_data
+    longest = 4 * 2 * len("words <&>")
+    monkeypatch.setattr(inline, "_LEAST_BYTES", longest)
+    assert words["words"].nbytes == longest
+    monkeypatch.setattr(inline, "_LEAST_BYTES", longest - 1)
+    with pytest.raises(SeriesError, match="2 texts that differ too much"):
+        words["words"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [('NumberOfPoints="27"', 'NumberOfPoints="-27"'), ('version="1.0"?', 'version="1.0" encoding="nonsense"?')],
+)
+def test_what_makes_no_sense_is_told_in_one_line(tmp_path, old, new):
+    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    changed = text.replace(old, new, 1).replace('Components="3"', 'Components="-3"')
+    assert old in text
+    (tmp_path / "f.vtu").write_text(changed)
+    assert inline_file(tmp_path / "f.vtu") is None
+    with pytest.raises(SeriesError, match=r"f\.vtu: .+") as caught:
+        read_series(tmp_path / "f.vtu")
+    assert "\n" not in str(caught.value)
+
+
 def test_more_than_the_memory_is_for_the_guarded_child(tmp_path, monkeypatch):
     path = saved(rich(), tmp_path / "f.vtu")
     monkeypatch.setattr(inline, "_LEAST_BYTES", 1000)
     monkeypatch.setattr(inline, "_BYTES_PER_BYTE", 0)
     assert inline_file(path) is None
+
+
+def test_a_large_file_is_left_to_the_guarded_child_unread(tmp_path, monkeypatch):
+    path = saved(rich(), tmp_path / "f.vtu")
+    monkeypatch.setattr(inline, "_LARGEST", path.stat().st_size)
+    assert inline_file(path) is not None
+    monkeypatch.setattr(inline, "_LARGEST", path.stat().st_size - 1)
+    monkeypatch.setattr(inline.ElementTree, "fromstring", lambda _: pytest.fail("read"))
+    assert inline_file(path) is None
+    assert read_grid(path).point_data["speed"][-1] == 1
+
+
+@pytest.mark.parametrize("many", ["<a/>" * 300_000, "<a " + " ".join(f"a{i}=''" for i in range(150_000)) + "/>"])
+def test_elements_without_number_are_left_to_the_guarded_child(tmp_path, monkeypatch, many):
+    path = saved(rich(), tmp_path / "f.vtu")
+    path.write_text(path.read_text().replace("<PointData", many + "<PointData", 1))
+    assert inline_file(path) is not None
+    monkeypatch.setattr(inline, "_MOST_MARKS", 250_000)
+    assert inline_file(path) is None
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_entities_in_wide_characters_are_not_read_inline(tmp_path, encoding):
+    text = saved(rich(), tmp_path / "f.vtu").read_text().partition("?>")[2].replace('Name="speed"', 'Name="&b;"')
+    (tmp_path / "f.vtu").write_bytes(f'<!DOCTYPE a [<!ENTITY b "c">]>{text}'.encode(encoding))
+    assert inline_file(tmp_path / "f.vtu") is None
+    with pytest.raises(SeriesError, match="UTF-16"):
+        read_grid(tmp_path / "f.vtu")
 
 
 def numbers(grid):
@@ -169,6 +246,23 @@ def test_all_fields_cost_one_reading_of_each_frame(tmp_path, monkeypatch):
     monkeypatch.setattr(engine, "_KEPT_BYTES", 0)  # a series that is too long
     opened(source).load()
     assert counts.count("f1.vtu") == 3
+
+
+@pytest.mark.parametrize("mode", ["inline", "appended"])
+def test_points_are_counted_and_cells_held_once(tmp_path, monkeypatch, mode):
+    for i in range(12):
+        saved(grid_at(i / 10), tmp_path / f"f{i:02}.vtu", mode=mode, compressor="none")
+    store = engine.Store(read_series(tmp_path))
+    grids = [store.grid(i) for i in range(12)]
+    size = grids[0].nbytes
+    assert POINTS.nbytes <= size < 1.5 * POINTS.nbytes  # in base64 where it is inline
+    for name in ("types", "offsets", "connectivity"):
+        assert len({id(getattr(grid, name)) for grid in grids}) == 1
+    monkeypatch.setattr(engine, "_KEPT_BYTES", 5 * size)
+    store = engine.Store(read_series(tmp_path))
+    for i in range(12):
+        store.grid(i)
+        assert len(store._kept) == min(i + 1, 5)
 
 
 def test_cells_that_change_are_seen_by_every_field(tmp_path):

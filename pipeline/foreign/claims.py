@@ -17,6 +17,8 @@ _PIECE = re.compile(rb"<Piece\b[^>]*>")
 _LEGACY = re.compile(rb"^\s*(POINTS)\s+(\d+)", re.MULTILINE)
 _HDF = re.compile(rb'Format="HDF"[^>]*>\s*([^<:]+):')
 _OTHER_ROOTS = frozenset("\\:")  # without these a name has no root but /
+_WIDE = (b"\xff\xfe", b"\xfe\xff")  # the marks of UTF-16; those of UTF-32 have these, or zeros
+_SILENT = re.compile(rb"<!--.*?(?:-->|\Z)|<\?.*?(?:\?>|\Z)", re.DOTALL)  # comments, instructions
 _SOURCE = re.compile(rb'<Piece\b[^>]*\bSource="([^"]*)"')
 
 
@@ -49,10 +51,18 @@ def _unsafe_xml(file: Path) -> str | None:
     """Return what is wrong before the first element: entities can stand for more than any memory holds."""
     with file.open("rb") as opened:
         prologue = opened.read(_PROLOGUE)
+    if wide(prologue):
+        return "it is written in UTF-16 or UTF-32; write it in UTF-8"
+    prologue = _SILENT.sub(b"", prologue)  # what looks like an element there is none
     root = re.search(rb"<[A-Za-z_]", prologue)
     if root is None:
         return "it is no XML"
     return "it declares entities, which no such file needs" if b"<!ENTITY" in prologue[: root.start()] else None
+
+
+def wide(content: bytes) -> bool:
+    """Return whether a text begins as those of two or four bytes a character do, where a search would miss words."""
+    return content.startswith(_WIDE) or b"\0" in content[:4]
 
 
 def _too_many(file: Path) -> str | None:

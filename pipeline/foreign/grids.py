@@ -5,8 +5,8 @@ VTK's errors become a SeriesError; nothing is printed.
 
 import contextlib
 import io
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import SeriesError, shortened
-from pipeline.foreign.inline import Arrays, inline_file, unpacked
+from pipeline.foreign.inline import Arrays, inline_file
 
 # as in mesh/simplex.py, which costs scipy: a child process that only reads shall start fast
 Floats = NDArray[np.float64]
@@ -29,10 +29,10 @@ Fields = Mapping[str, NDArray[Any]]
 class Grid:
     """Points (n, 3), cells in VTK's way (types, offsets, connectivity) and the fields of one instant.
 
-    Points that are given as a function are read when they are asked for; `count` is their number.
+    Points that are given as Arrays (by the name Points) are decoded when they are asked for; `count` is their number.
     """
 
-    located: Floats | Callable[[], Floats]
+    located: Floats | Arrays
     count: int
     types: NDArray[np.uint8]
     offsets: Ints
@@ -44,13 +44,20 @@ class Grid:
     @property
     def points(self) -> Floats:
         """Return the points (n, 3)."""
-        return self.located() if callable(self.located) else self.located
+        if isinstance(self.located, Arrays):
+            return self.located["Points"].astype(np.float64, copy=False)
+        return self.located
 
     @property
     def nbytes(self) -> int:
-        """Return how many bytes its fields hold."""
+        """Return how many bytes its points and fields hold; its cells are not counted, see sharing."""
         fields = (self.point_data, self.cell_data, self.field_data)
-        return sum(f.nbytes if isinstance(f, Arrays) else sum(a.nbytes for a in f.values()) for f in fields)
+        held = (f.nbytes if isinstance(f, Arrays) else sum(a.nbytes for a in f.values()) for f in fields)
+        return self.located.nbytes + sum(held)
+
+    def sharing(self, other: "Grid") -> "Grid":
+        """Return this grid with the arrays of cells of another, which must be equal: they are held once."""
+        return replace(self, types=other.types, offsets=other.offsets, connectivity=other.connectivity)
 
     def cells(self, kind: int, corners: int) -> Ints:
         """Return the cells of one VTK type (e, corners)."""
@@ -70,11 +77,7 @@ def inline_grid(file: Path) -> Grid | None:
     found = inline_file(file) if file.suffix == ".vtu" else None
     if found is None:
         return None
-
-    def located() -> Floats:
-        return unpacked(found.points, file, "Points").astype(np.float64, copy=False)
-
-    return Grid(located, found.points.shape[0], *found.cells, *found.sections)
+    return Grid(Arrays(file, {"Points": found.points}), found.points.shape[0], *found.cells, *found.sections)
 
 
 def read_grid(file: Path, step: int = 0) -> Grid:

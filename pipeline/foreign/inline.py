@@ -6,6 +6,7 @@ way (appended, ASCII, several pieces, ghost cells, polyhedra), or does not add u
 but Python and numpy handles the bytes: a damaged file cannot take the process along.
 """
 
+import os
 import struct
 import zlib
 from binascii import a2b_base64
@@ -19,9 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import SeriesError
+from pipeline.foreign import claims
 
 Ints = NDArray[np.int64]
-_TYPES = {f"{word}Int{8 * n}": f"{kind}{n}" for word, kind in (("", "i"), ("U", "u")) for n in (1, 2, 4, 8)} | {
+# the names of types in .vtu, and numpy's
+TYPES = {f"{word}Int{8 * n}": f"{kind}{n}" for word, kind in (("", "i"), ("U", "u")) for n in (1, 2, 4, 8)} | {
     "Float32": "f4",
     "Float64": "f8",
 }
@@ -33,6 +36,8 @@ _SECTIONS = {"PointData": "NumberOfPoints", "CellData": "NumberOfCells"}
 _HEAD, _ELSEWHERE = 4096, (b'format="appended"', b'format="ascii"')  # not worth reading the rest
 # decoded whole, what takes more than this and more than so many times its file is for the guarded child process
 _LEAST_BYTES, _BYTES_PER_BYTE = 2 * 10**9, 40
+# parsing takes up to four times the file; marks are what elements and attributes are made of, some 100 bytes each
+_LARGEST, _MARKS, _MOST_MARKS = _LEAST_BYTES // 4, (b"<", b'"', b"'"), 10**6
 _CORNERS = {1: 1, 3: 2, 5: 3, 9: 4, 10: 4, 12: 8, 13: 6, 14: 5, 21: 3, 22: 6, 23: 8, 24: 10, 25: 20}  # of VTK's kinds
 
 
@@ -88,7 +93,7 @@ def inline_file(file: Path) -> Inline | None:
     """Return what an inline .vtu says, None for every other file."""
     try:
         return _read(file)
-    except (_NotInlineError, ElementTree.ParseError, struct.error, OSError, ValueError, KeyError, AttributeError):
+    except Exception:  # whatever there is to stumble on in a file of another program: who reads it next will tell
         return None
 
 
@@ -117,6 +122,8 @@ def _texts(data: bytes, count: int) -> NDArray[Any]:
     *texts, rest = data.split(b"\0")
     if rest or len(texts) != count:
         raise ValueError(f"{len(texts)} texts, not {count}")
+    if 4 * count * max(map(len, texts)) > _LEAST_BYTES:  # numpy makes each as long as the longest
+        raise ValueError(f"{count} texts that differ too much in length")
     return np.array([text.decode() for text in texts])
 
 
@@ -131,11 +138,14 @@ def _inflated(block: bytes, size: int) -> bytes:
 
 def _read(file: Path) -> Inline:
     with file.open("rb") as opened:
-        content = opened.read(_HEAD)
-        if any(word in content for word in _ELSEWHERE):
+        size, head = os.fstat(opened.fileno()).st_size, opened.read(_HEAD)
+        if size > _LARGEST or any(word in head for word in _ELSEWHERE):
             raise _NotInlineError
-        content += opened.read()
-    if b"<!DOCTYPE" in content:  # entities are for claims.py to refuse
+        opened.seek(0)
+        content = opened.read(size)
+    if sum(map(content.count, _MARKS)) > _MOST_MARKS:
+        raise _NotInlineError
+    if claims.wide(content) or b"<!DOCTYPE" in content:  # entities are for claims.py to refuse
         raise _NotInlineError
     root = ElementTree.fromstring(content)
     (grid,) = root
@@ -195,9 +205,11 @@ def _packed(array: ElementTree.Element, tuples: int | None, way: _Way) -> Packed
     sizes, packed, numbers = _blocks((array.text or "").strip(), way)
     if text and tuples:
         return Packed("S", (tuples,), sizes, packed, numbers)
-    dtype = way.order + _TYPES[array.attrib["type"]]
+    dtype = way.order + TYPES[array.attrib["type"]]
     components = int(array.get("NumberOfComponents", 1))
     item = int(dtype[2:]) * components
+    if components < 1 or (tuples or 0) < 0:
+        raise _NotInlineError
     if tuples is None:
         tuples = sum(sizes) // item
     if sum(sizes) != tuples * item or not sum(sizes):
@@ -242,6 +254,8 @@ def _cells(
     types: Packed, offsets: Packed, connectivity: Packed, points: int, cells: int
 ) -> tuple[NDArray[np.uint8], Ints, Ints]:
     """Return types, offsets from 0 on and connectivity; raises _NotInlineError where VTK should say what is wrong."""
+    if any(one.dtype[1] == "f" for one in (types, offsets, connectivity)):
+        raise _NotInlineError
     here = Path()
     kinds = unpacked(types, here, "types").astype(np.uint8).reshape(-1)
     ends = unpacked(offsets, here, "offsets").astype(np.int64).reshape(-1)

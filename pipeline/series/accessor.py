@@ -96,7 +96,10 @@ class SeriesAccessor:
         return out.assign(connectivity=out["connectivity"].copy(data=renumbered.reshape(shape)))
 
     def to_pvd(self, path: Path | str) -> Path:
-        """Write the dataset as NAME.pvd with a folder NAME of .vtu files; return the index. See dataset_to_pvd."""
+        """Write the dataset as NAME.pvd with a folder NAME of .vtu files; return the index.
+
+        The frames are not synced: a loss of power soon afterwards may cost some. See dataset_to_pvd.
+        """
         from pipeline.series.writer import dataset_to_pvd  # it needs this module
 
         return dataset_to_pvd(self._dataset, path)

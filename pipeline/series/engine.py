@@ -94,7 +94,7 @@ class Store:
                 return self._kept[index]
             grid = self.series.grid(index)
             self.series.layout.check_cells(grid, str(self.series.files[index]))
-            self._kept[index] = grid
+            self._kept[index] = grid = grid.sharing(self.series.layout.grid)
             self._bytes += grid.nbytes
             while len(self._kept) > 2 and self._bytes > _KEPT_BYTES:
                 self._bytes -= self._kept.popitem(last=False)[1].nbytes

@@ -26,6 +26,7 @@ _BLOCK_BYTES = 1 << 22  # 4 MB: a hundred frames of a few hundred cells, one of 
 def dataset_to_pvd(dataset: "xarray.Dataset", path: Path | str) -> Path:
     """Write a dataset as NAME.pvd with a folder NAME of .vtu files, a frame at a time; return the index.
 
+    The frames are not synced: after a loss of power soon afterwards some may be empty or partial; write them anew.
     Raises SeriesError for a variable that is neither (time, node…), (time, cell…) nor (time…), as files of frames
     cannot hold it; OutputError where it cannot write.
     """

@@ -12,7 +12,8 @@ from pipeline.errors import OutputError
 def whole_file(path: Path, *, synced: bool = True) -> Iterator[Path]:
     """Yield a hidden name beside path to write to; on leaving it is synced and takes the place of path.
 
-    Syncing waits for the disk, some ms a file: of what can be made again it may be left to the system. Raises
+    Syncing waits for the disk, some ms a file: of what can be made again it may be left to the system. Without it the
+    file is whole or not there after the program died, but may be empty or partial after a loss of power. Raises
     OutputError, and removes the hidden file, where the system refuses.
     """
     hidden = path.with_name(f".{path.stem}.tmp{path.suffix}")
@@ -31,6 +32,9 @@ def whole_file(path: Path, *, synced: bool = True) -> Iterator[Path]:
 
 
 def write_whole(path: Path, data: str | bytes, *, synced: bool = True) -> None:
-    """Write a text or bytes so that path holds the old or the new content, never a part; raises OutputError."""
+    """Write a text or bytes so that path holds the old or the new content, never a part; raises OutputError.
+
+    Not `synced`, it may hold a part after a loss of power, as whole_file says.
+    """
     with whole_file(path, synced=synced) as hidden:
         hidden.write_bytes(data.encode() if isinstance(data, str) else data)

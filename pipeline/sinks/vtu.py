@@ -15,15 +15,13 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.foreign.inline import TYPES
 from pipeline.frame import Frame, Values
 from pipeline.mesh.simplex import Ints, Mesh
 from pipeline.sinks.atomic import write_whole
 from pipeline.sinks.fields import CELL_TYPES, Fields, Precision, frame_fields, rest_positions
 
-_TYPES = {f"{kind}{n}": f"{word}Int{8 * n}" for word, kind in (("", "i"), ("U", "u")) for n in (1, 2, 4, 8)} | {
-    "f4": "Float32",
-    "f8": "Float64",
-}
+_TYPES = {kind: name for name, kind in TYPES.items()}
 _INDEX_SECONDS = 1.0  # the index grows with the run; written every frame it would cost the square of it
 
 
