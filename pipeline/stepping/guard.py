@@ -41,7 +41,7 @@ class Guarded:
         """Return the state dt later; raises SolveError where the energy has no source."""
         guard = state.memory["guard"] if "guard" in state.memory else np.array([self._energy(state), 0.0, 0.0])
         new, work = self.stepper.step(state)
-        supplied = supports_work(self.body, state, new, self.dt) if self.body.supports.motions else 0.0
+        supplied = supports_work(self.body, state, new, self.dt)
         if work.rung >= self._from_rung or supplied or guard[2]:
             guard = self._judged(new, guard, supplied, watched=work.rung >= self._from_rung)
         return State(new.step, new.x, new.v, {**new.memory, "guard": guard}), work
@@ -88,6 +88,8 @@ def natural_energy(body: Body) -> float:
 
 def supports_work(body: Body, old: State, new: State, dt: float) -> float:
     """Return |reaction . motion| of the held nodes in a step [J]; nothing is computed where none moves."""
+    if not body.supports.motions:
+        return 0.0
     held = body.supports.nodes
     moved = new.x[held] - old.x[held]
     if not moved.any():
