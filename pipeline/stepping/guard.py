@@ -48,11 +48,12 @@ class Guarded:
 
     def _judged(self, new: State, guard: Floats, work_of_supports: float, *, watched: bool) -> Floats:
         """Return the guard's numbers after a step; raises SolveError at the third strike."""
-        start, supplied, strikes = guard
+        start, supplied, strikes = guard.tolist()
         supplied += work_of_supports
-        if not watched:
-            return np.array([start, supplied, 0.0])
-        bound = max(start + supplied + self._from_loads(new), self._least)
+        brought = start + supplied
+        if not watched or self._kinetic_bound(new) <= max(brought, self._least):
+            return guard if supplied == guard[1] and not strikes else np.array([start, supplied, 0.0])
+        bound = max(brought + self._from_loads(new), self._least)
         strikes = strikes + 1 if self._exceeds(new, bound) else 0.0
         if strikes >= _STRIKES:
             raise SolveError(
@@ -64,8 +65,10 @@ class Guarded:
 
     def _exceeds(self, state: State, bound: float) -> bool:
         """Return whether kinetic + elastic energy is above what the guard allows, by the cheapest way to tell."""
-        at_most = 0.5 * float(np.vdot(self._lumped, np.square(state.v, out=self._room)))
-        return at_most > bound and self._kinetic(state) > bound and self._inner(state) > _FACTOR * bound
+        return self._kinetic(state) > bound and self._inner(state) > _FACTOR * bound
+
+    def _kinetic_bound(self, state: State) -> float:
+        return 0.5 * float(np.vdot(self._lumped, np.square(state.v, out=self._room)))
 
     def _kinetic(self, state: State) -> float:
         return 0.5 * float(np.vdot(state.v, self.body.momentum(state.v, self._room)))

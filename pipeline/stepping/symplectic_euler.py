@@ -29,22 +29,19 @@ class SymplecticEuler:
     treatment: Treatment | None = None
 
     def __post_init__(self) -> None:
-        self._dt_over_mass = (self.dt / self.body.lumped_mass)[:, None]
+        from pipeline.stepping.kernels import kick
+
+        self._kick = kick
+        self._dt_over_mass = self.dt / self.body.lumped_mass
 
     def step(self, state: State) -> tuple[State, Work]:
         """Return the state dt later."""
         body = self.body
-        held = body.supports.nodes
         R, memory = tracked_rotations(self.treatment, body, state.x, state)
         v = body.force(state.x, R)
-        v += body.load
-        v *= self._dt_over_mass
-        v += state.v
+        x = np.empty_like(state.x)
         where = body.held_positions((state.step + 1) * self.dt)
-        v[held] = (where - state.x[held]) / self.dt
-        x = np.multiply(v, self.dt)
-        x += state.x
-        x[held] = where
+        self._kick(v, body.load, self._dt_over_mass, state.x, state.v, self.dt, body.supports.nodes, where, x)
         return State(state.step + 1, x, v, memory), Work(steps=1, rotations=int(not body.law.constant_tangent))
 
 
