@@ -71,7 +71,7 @@ test-paraview: setup ## What Debian's ParaView reads and draws; as root on Debia
 quick: setup ## The tests that take no more than a few seconds each
 	$(PYTEST) -m "not slow"
 
-fuzz: setup ## 10 000 bad inputs, 100 kills at random moments; half an hour
+fuzz: setup ## 10 000 bad inputs, 100 kills at random moments; minutes
 	PIPELINE_FUZZ=10000 PIPELINE_KILLS=100 $(PYTEST) tests/test_fuzz.py tests/test_faults.py -k "files or kill_9"
 
 lint: .venv/installed ## ruff check, ruff format --check, mypy
