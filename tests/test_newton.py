@@ -38,7 +38,7 @@ def thrown(d: str, speed: float = 20.0) -> tuple[Body, State]:
 
 
 def newton(body: Body, **method: object) -> Converged:
-    solver = stage_solver(body, DT, MethodSpec(iterations="converged", **method))  # type: ignore[arg-type]
+    solver = stage_solver(body, DT, MethodSpec(iterations="converged", **method))  # type: ignore[arg-type]  # pydantic checks
     assert isinstance(solver, Converged)
     return solver
 

@@ -13,7 +13,14 @@ from pipeline import variant_run
 from pipeline.series import read_series
 from pipeline.sinks.formats import FORMATS
 from tests.test_faults import ROOT, command
-from tests.test_resume import _default_handlers, _no_figures, assert_same_datasets, solve, stopped_after, written  # noqa: F401
+from tests.test_resume import (  # noqa: F401  (fixtures)
+    _default_handlers,
+    _no_figures,
+    assert_same_datasets,
+    solve,
+    stopped_after,
+    written,
+)
 
 OUTPUTS = {
     "vtu": {},

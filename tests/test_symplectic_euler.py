@@ -139,7 +139,7 @@ def test_the_limit_itself_is_computed_only_above_the_bound_over_cells(tmp_path, 
         calls.append(body)
         return true_limit(body)
 
-    monkeypatch.setitem(STEP_LIMITS, "symplectic_euler", (element_limit, counted))  # type: ignore[arg-type]
+    monkeypatch.setitem(STEP_LIMITS, "symplectic_euler", (element_limit, counted))  # type: ignore[arg-type]  # Mapping to the reader
     built(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * below, "frames": 1}, **sections)
     assert not calls
     built(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * above, "frames": 1}, **sections)

@@ -138,7 +138,7 @@ class Prefactored:
         # f_el = -K (x_h - X): the same sum as body.force(x_h), without visiting a cell
         b -= self.system.product(self._hK, np.subtract(stage.x_h, body.mesh.points, out=self._u))
         v = stage.v_h.copy()
-        work = self.system.solve(held_velocity(stage, stage.x_h, body, self._held), v)
+        work = self.system.solve(_held_velocity(stage, stage.x_h, body, self._held), v)
         work.iterations += 1
         if self._setup is not None:
             work, self._setup = work + self._setup, None
@@ -169,7 +169,7 @@ class FrozenPasses:
         """Write into v, which enters as the guess, the solution linearised at x (n, d), by its rotations or by R."""
         body, h, system = self.body, stage.h, self.system
         work = system.linearise(x, h, R)
-        held = held_velocity(stage, x, body, self._held)
+        held = _held_velocity(stage, x, body, self._held)
         ahead, away = x is not stage.x_h, stage.v_h
         if ahead:
             np.subtract(x, stage.x_h, out=self._reached)
@@ -188,7 +188,7 @@ class FrozenPasses:
         return work
 
 
-def held_velocity(stage: Stage, x: Floats, body: Body, out: Floats) -> Floats:
+def _held_velocity(stage: Stage, x: Floats, body: Body, out: Floats) -> Floats:
     """Write into out (k, d) with what velocities the held nodes get from x (n, d) to where the stage has them."""
     x.take(body.supports.nodes, 0, out, "clip")
     np.subtract(stage.held, out, out=out)
