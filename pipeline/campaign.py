@@ -12,6 +12,7 @@ from pipeline.errors import CaseError, SolveError
 from pipeline.record_keeping import Interrupted, folder_lock, interruptible, mesh_digest
 from pipeline.sinks.atomic import write_whole
 from pipeline.sinks.formats import ensure_format
+from pipeline.sinks.writer_process import WriterProcess
 from pipeline.variant_run import (
     UNFINISHED,
     Notify,
@@ -64,7 +65,7 @@ def run_campaign(
     problems = {name: build(one) for name, one in resolved.items()}
     for one in resolved.values():
         ensure_format(one.output.format)
-    with folder_lock(folder), interruptible() as asked:
+    with folder_lock(folder) as lock, WriterProcess(keep=lock) as writer, interruptible() as asked:
         todo = [
             name
             for name, one in resolved.items()
@@ -80,7 +81,7 @@ def run_campaign(
             if name in todo:
                 if on_start is not None:
                     on_start(name, problems[name])
-                solving = VariantRun(one, problems[name], folder / name, asked, notify)
+                solving = VariantRun(one, problems[name], folder / name, asked, writer, notify)
                 results.append(solving.result(resume=resume and not force))
             else:
                 results.append(VariantResult(name, folder / name, "up to date", read_run(folder / name)))

@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -27,6 +28,7 @@ from pipeline.sinks.netcdf import NetcdfSink
 
 CHECKPOINTS = "checkpoints"
 LOCK = ".lock"
+_PATIENCE = 2.0  # [s] what writes the frames of a run ends a moment after one that was killed
 
 
 class Interrupted(KeyboardInterrupt):
@@ -65,8 +67,10 @@ def interruptible() -> Iterator[Interruption]:
 
 
 @contextmanager
-def folder_lock(folder: Path) -> Iterator[None]:
+def folder_lock(folder: Path) -> Iterator[int]:
     """Hold the folder against every other run; the system lets go when this process ends, however it does.
+
+    Yields the lock's descriptor: a process that inherits it holds the folder as well.
 
     Raises CaseError where another run holds it, OutputError where the lock file cannot be made. File systems without
     locks are not locked.
@@ -74,7 +78,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
     path = folder / LOCK
     descriptor = _locked(path)
     try:
-        yield
+        yield descriptor
     finally:
         # removed while it is held: who has opened it meanwhile finds that it is no longer the file of that name
         if _is_file_of(descriptor, path):
@@ -84,15 +88,18 @@ def folder_lock(folder: Path) -> Iterator[None]:
 
 
 def _locked(path: Path) -> int:
-    """Return the descriptor of the lock file, locked."""
+    """Return the descriptor of the lock file, locked; who holds it is given a moment to end."""
+    deadline = time.monotonic() + _PATIENCE
     while True:
         descriptor = _opened(path)
         try:
             if _taken(descriptor, path):
                 return descriptor
         except CaseError:
-            os.close(descriptor)
-            raise
+            if time.monotonic() > deadline:
+                os.close(descriptor)
+                raise
+            time.sleep(0.02)
         os.close(descriptor)
 
 

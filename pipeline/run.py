@@ -129,13 +129,13 @@ def dynamics(body: Body, state: State) -> dict[str, Floats]:
     }
 
 
-OnFrame = Callable[[Frame, Values, "RunSummary"], None]
+OnFrame = Callable[[Frame, "RunSummary"], None]
 
 
 class Recording:
     """Frames measured and written into sinks, one at a time; `summary` is what the run was so far.
 
-    `on_frame` is called after each frame with the frame, its measures and the summary. `before` is the summary of the
+    `on_frame` is called after each frame with the frame and the summary. `before` is the summary of the
     frames that a resumed run has written already; the set-up of the first start stays the one told.
     """
 
@@ -155,7 +155,7 @@ class Recording:
             sink.write(frame, measured)
         self.summary = self._timed(_continued(self.summary, frame, measured), since=began)
         if self._on_frame is not None:
-            self._on_frame(frame, measured, self.summary)
+            self._on_frame(frame, self.summary)
 
     def drain(self) -> None:
         """Return at once: every frame taken is written."""

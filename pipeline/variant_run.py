@@ -17,7 +17,7 @@ from pipeline.case import Case
 from pipeline.errors import OutputError, SolveError, shortened
 from pipeline.failure import FILE as FAILURE
 from pipeline.failure import examined
-from pipeline.frame import Frame, Sink, Values
+from pipeline.frame import Frame, Sink
 from pipeline.methods import linear_solvers
 from pipeline.record_keeping import (
     CHECKPOINTS,
@@ -33,12 +33,12 @@ from pipeline.sinks.atomic import write_whole
 from pipeline.sinks.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.sinks.formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
-from pipeline.sinks.overlapped import WORTH_A_THREAD, Overlapped, short_turns
+from pipeline.sinks.writer_process import WORTH_A_PROCESS, WriterProcess
 from pipeline.stepping.state import State, Work
 from pipeline.version import VERSION
 
 Status = Literal["finished", "failed", "up to date"]
-Notify = Callable[[str, Problem, Frame, Values, RunSummary], None]
+Notify = Callable[[str, Problem, Frame, RunSummary], None]
 # of a run that could go on: killed, asked to stop, or stopped by what it could not write
 UNFINISHED = ("running", "interrupted")
 _COUNTS = ("steps", "solves", "iterations", "linear_iterations", "factorisations", "rotations")
@@ -99,9 +99,16 @@ class VariantRun:
     """One variant being solved and recorded, from its start or from a checkpoint."""
 
     def __init__(
-        self, case: Case, problem: Problem, folder: Path, asked: Interruption, notify: Notify | None = None
+        self,
+        case: Case,
+        problem: Problem,
+        folder: Path,
+        asked: Interruption,
+        writer: WriterProcess,
+        notify: Notify | None = None,
     ) -> None:
         self.case, self.problem, self.folder, self.asked, self.notify = case, problem, folder, asked, notify
+        self.writer = writer
         self.name = case.variant_name or ""
         self.checkpoints = CheckpointFolder(folder / CHECKPOINTS, seconds=case.output.checkpoint_seconds)
         self.summary: RunSummary | None = None
@@ -147,21 +154,21 @@ class VariantRun:
             FORMATS[output.format].sink(self.folder, times, output.precision, self.problem.frames + 1),
             NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
         ]
-        recording = Recording(sinks, on_frame=self._on_frame, before=self.summary)
-        beside = len(self.problem.body.mesh.cells) >= WORTH_A_THREAD
-        writer: Watcher = Overlapped(recording) if beside else recording
+        beside = len(self.problem.body.mesh.cells) >= WORTH_A_PROCESS
+        record = self.writer.recording if beside else Recording
+        recording = record(sinks, on_frame=self._on_frame, before=self.summary)
 
         def after_step(state: State, work: Work) -> None:
-            self._after_step(state, work, writer)
+            self._after_step(state, work, recording)
 
         start, begun = (began.state, began.work) if began else (None, None)
         self._last = start or self.problem.start
         self.asked.solving = True
         try:
             # small dense factors gain nothing from BLAS threads, and stall where cores are shared
-            with threadpool_limits(limits=1, user_api="blas"), short_turns():
+            with threadpool_limits(limits=1, user_api="blas"):
                 source = frames(self.problem, start, begun=begun, after_step=after_step)
-                drive(source, writer)
+                drive(source, recording)
         finally:
             self.asked.solving = False
             if recording.summary.frames:
@@ -177,10 +184,10 @@ class VariantRun:
             found.write(self.folder, message)
         return {"message": message, "failure": found.record()}
 
-    def _on_frame(self, frame: Frame, measured: Values, summary: RunSummary) -> None:
+    def _on_frame(self, frame: Frame, summary: RunSummary) -> None:
         self.summary = summary
         if self.notify is not None:
-            self.notify(self.name, self.problem, frame, measured, summary)
+            self.notify(self.name, self.problem, frame, summary)
 
     def _after_step(self, state: State, work: Work, writer: Watcher) -> None:
         """Write a checkpoint where one is due; raises Interrupted where an end was asked for."""

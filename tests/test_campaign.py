@@ -332,7 +332,7 @@ def test_a_variant_that_cannot_start_is_recorded_without_frames(tmp_path, monkey
 
 
 def test_a_run_that_is_interrupted_stays_marked_as_running_with_its_frames(tmp_path, monkeypatch):
-    def interrupted(name, problem, frame, measured, summary):
+    def interrupted(name, problem, frame, summary):
         if name == "polar" and frame.index == 2:
             raise KeyboardInterrupt
 

@@ -10,7 +10,9 @@ from pipeline.fem.loads import consistent_mass_pairs
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import gram_schmidt, polar, polar_by_svd
 from pipeline.fem.supports import Supports
+from pipeline.measures import volumes_and_angles, volumes_and_angles_by_numpy
 from pipeline.mesh.shapes import box, rectangle
+from pipeline.mesh.simplex import edge_matrices, signed_volumes
 
 MATERIAL = Material(1e6, 0.3, 1000.0)
 NOWHERE = Supports(np.zeros(0, dtype=np.int64))
@@ -44,6 +46,33 @@ def test_forces_stiffness_and_energy_are_those_of_the_plain_body(bodies: tuple[B
         expected = plain.linearise(x, kind=kind)[1]
         np.testing.assert_allclose(g, f, atol=1e-11 * f_scale)
         np.testing.assert_allclose(L, expected, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("cells", [[1, 1, 1], [2, 3, 2], [4, 8, 2]], ids=["6", "72", "384"])
+@pytest.mark.parametrize("shake", [0.0, 0.05, 0.5], ids=["rest", "strained", "some inverted"])
+def test_measured_volumes_and_angles_are_those_of_the_plain_lines(cells: list[int], shake: float) -> None:
+    mesh, rng = box([1.0, 2.0, 1.5], cells), np.random.default_rng(3)
+    x = mesh.points @ polar(rng.normal(size=(1, 3, 3)))[0] + shake * rng.normal(size=mesh.points.shape)
+    for positions in (x, np.asfortranarray(x), x.astype(np.float32)):
+        volumes, angles = volumes_and_angles(mesh, positions)
+        expected = volumes_and_angles_by_numpy(mesh, positions.astype(np.float64))
+        assert np.array_equal(volumes, expected[0])
+        assert np.array_equal(volumes, signed_volumes(positions.astype(np.float64), mesh.cells))
+        np.testing.assert_allclose(angles, expected[1], atol=1e-9)
+    np.testing.assert_allclose(
+        volumes, np.linalg.det(edge_matrices(positions.astype(float), mesh.cells)) / 6, atol=1e-14
+    )
+    assert np.array_equal(volumes_and_angles(mesh, mesh.points)[0], mesh.rest_volumes)  # a ratio of one at rest
+
+
+def test_measured_numbers_of_what_is_no_number_stay_in_their_cells() -> None:
+    mesh = box([1.0, 2.0, 1.5], [2, 3, 2])
+    x = 1.1 * mesh.points
+    x[0] = np.nan
+    touched = (mesh.cells == 0).any(axis=1)
+    volumes, angles = volumes_and_angles(mesh, x)
+    assert np.isnan(volumes[touched]).all() and not np.isnan(volumes[~touched]).any()
+    np.testing.assert_allclose(angles[~touched], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("spread", [0.01, 0.3, 1.0, 30.0])

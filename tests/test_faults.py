@@ -174,7 +174,7 @@ def test_a_writer_that_fails_leaves_what_can_be_gone_on_with(tmp_path, monkeypat
 def test_a_torn_dataset_is_made_again_from_the_frames(tmp_path, monkeypatch, harm):
     path, out = written(tmp_path), tmp_path / "parts"
 
-    def interrupted(name, problem, frame, measured, summary):
+    def interrupted(name, problem, frame, summary):
         if frame.index == 7:
             raise KeyboardInterrupt
 
@@ -209,7 +209,7 @@ def test_a_folder_that_may_not_be_written_is_one_line():
 
 
 def test_the_dataset_of_an_interrupted_run_can_be_read_while_it_is_unfinished(tmp_path):
-    def interrupted(name, problem, frame, measured, summary):
+    def interrupted(name, problem, frame, summary):
         if frame.index == 3:
             raise KeyboardInterrupt
 

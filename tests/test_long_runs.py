@@ -30,7 +30,7 @@ def test_memory_and_open_files_stay_as_they_are(tmp_path, monkeypatch):
     )
     memory, files = [], []
 
-    def look(name, problem, frame, measured, summary):
+    def look(name, problem, frame, summary):
         memory.append(resident_bytes())
         files.append(len(os.listdir("/proc/self/fd")))
 

@@ -33,7 +33,7 @@ def test_memory_is_flat_over_thousands_of_frames(tmp_path, monkeypatch, name):
     sinks = [FORMATS[name].sink(tmp_path, [], "float64", count + 1), NetcdfSink(tmp_path / "s.nc", title="long")]
     seen = {}
 
-    def look(frame, measured, summary):
+    def look(frame, summary):
         if frame.index in (settled, count):
             seen[frame.index] = resident()
 

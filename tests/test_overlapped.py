@@ -1,18 +1,14 @@
-"""Writing beside solving: order, bounds, failures and what a checkpoint may rely on."""
+"""Frames handed on by a thread: order, bounds, failures."""
 
-import sys
 import threading
 
 import pytest
 
-from pipeline import variant_run
 from pipeline.errors import OutputError, SolveError
 from pipeline.frame import Frame
 from pipeline.mesh.shapes import box
 from pipeline.run import Recording, drive
-from pipeline.sinks.checkpoint import CheckpointFolder
 from pipeline.sinks.overlapped import Overlapped
-from tests.test_resume import _default_handlers, _no_figures, solve, written  # noqa: F401  (fixtures)
 
 MESH = box((1.0, 1.0, 1.0), (1, 1, 1))
 PATIENCE = 30.0  # seconds until a test that would wait for ever fails instead
@@ -125,42 +121,6 @@ def test_nothing_written_closes_what_it_has():
     sink = Listing()
     Overlapped(Recording([sink])).close()
     assert sink.closed == 1
-
-
-def test_a_checkpoint_waits_for_the_frames_before_it(tmp_path, monkeypatch):
-    genuine, seen = CheckpointFolder.write, []
-
-    def looking(self, checkpoint):
-        seen.append((checkpoint.summary.frames, len(list(self.folder.parent.glob("frames/frame_*.vtu")))))
-        genuine(self, checkpoint)
-
-    monkeypatch.setattr(CheckpointFolder, "write", looking)
-    monkeypatch.setattr(variant_run, "WORTH_A_THREAD", 0)
-    solve(written(tmp_path, seconds=1e-9), tmp_path / "out")
-    assert len(seen) == 10 and all(frames == files for frames, files in seen)
-
-
-def test_small_meshes_are_written_in_between(tmp_path, monkeypatch):
-    genuine, threads = Recording.take, set()
-
-    def looking(self, frame):
-        threads.add(threading.current_thread().name)
-        genuine(self, frame)
-
-    monkeypatch.setattr(Recording, "take", looking)
-    turns = sys.getswitchinterval()
-    for cells, name in ((1000, "MainThread"), (1, "writer")):
-        monkeypatch.setattr(variant_run, "WORTH_A_THREAD", cells)
-        solve(written(tmp_path), tmp_path / name)
-        assert threads == {name} and sys.getswitchinterval() == turns
-        threads.clear()
-
-
-def test_run_json_tells_writing_and_wall_apart(tmp_path):
-    run = solve(written(tmp_path), tmp_path / "out").variants[0].run
-    seconds = run["seconds"]
-    assert all(value > 0 for value in seconds.values())
-    assert seconds["solving"] <= seconds["wall"] <= seconds["solving"] + seconds["writing"] + 1.0
 
 
 def test_the_seconds_of_writing_are_those_of_the_writer():

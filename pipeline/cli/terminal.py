@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from pipeline.build import Problem
-from pipeline.frame import Frame, Values
+from pipeline.frame import Frame
 from pipeline.run import RunSummary
 
 
@@ -30,12 +30,12 @@ class Bars:
         total = problem.frames * problem.steps_per_frame
         self._show(name, 0, total, "setting up; the first run on a machine compiles")
 
-    def solved(self, name: str, problem: Problem, frame: Frame, measured: Values, summary: RunSummary) -> None:
+    def solved(self, name: str, problem: Problem, frame: Frame, summary: RunSummary) -> None:
         """Show a frame of a variant."""
         total = problem.frames * problem.steps_per_frame
         wall = summary.wall_seconds
         rate = f"{summary.steps / wall:6.0f} steps/s" if summary.steps else ""
-        rung = f"  {_RUNGS[int(measured['rung'])]}" if "rung" in measured else ""
+        rung = f"  {_RUNGS[int(frame.known['rung'])]}" if "rung" in frame.known else ""
         self._show(name, frame.step or 0, total, f"{rate}  worst V/V0 {summary.worst_volume_ratio:.4f}{rung}")
 
     def drawn(self, done: int, total: int) -> None:

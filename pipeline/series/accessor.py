@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pipeline.errors import MeshError, SeriesError
-from pipeline.fem.element import deformation_gradient
-from pipeline.fem.rotation import angle, polar
-from pipeline.measures import attributes
+from pipeline.measures import attributes, volumes_and_angles
 from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
 
 if TYPE_CHECKING:
@@ -41,7 +39,7 @@ class SeriesAccessor:
     def rotation_angle(self) -> "xarray.DataArray":
         """Return the angle of the polar rotation of every cell in every frame (time, cell) [degree]."""
         mesh = self.mesh()
-        rows = [np.degrees(angle(polar(deformation_gradient(mesh, x)))) for x in self._positions(mesh)]
+        rows = [np.degrees(volumes_and_angles(mesh, x)[1]) for x in self._positions(mesh)]
         return self._measured("rotation_angle", rows)
 
     def worst(self) -> Worst:

@@ -66,7 +66,11 @@ class NetcdfSink:
 
 
 def _keep_little(dataset: Any) -> None:
-    """Let each field of cells keep two chunks in memory: by default each keeps many, which are not read again."""
+    """Let each field of cells keep two chunks in memory: by default each keeps many, which are not read again.
+
+    And do not look for masks, which nothing here has.
+    """
+    dataset.set_auto_maskandscale(False)
     for one in dataset.variables.values():
         if {"time", "cell"} <= set(one.dimensions):
             one.set_var_chunk_cache(size=2 * 8 * prod(one.chunking()))

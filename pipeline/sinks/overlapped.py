@@ -1,13 +1,6 @@
-"""Writing beside solving: a bounded queue and one thread that measures and writes frames, in order.
+"""A bounded queue of frames and one thread that hands them on, in order: who takes them need not wait for each."""
 
-What it does is arithmetic on whole arrays, compression and waiting for the disk, which leave the interpreter free for
-the next step. For small meshes it is mostly the interpreter itself, and two threads only take it from each other.
-"""
-
-import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from queue import Queue
 
 from pipeline.frame import Frame
@@ -15,22 +8,6 @@ from pipeline.run import Watcher
 
 # enough to bridge one slow fsync; more would only take memory
 WAITING_FRAMES = 4
-# cells: measured, 192 take longer beside than one after the other, 10 000 two thirds of that
-WORTH_A_THREAD = 1000
-# [s] a thread that comes back from compiled code waits so long for the interpreter; with Python's 5 ms a solver of many
-# short array operations and a writer of many short calls take as long together as one after the other
-_TURN = 1e-4
-
-
-@contextmanager
-def short_turns() -> Iterator[None]:
-    """Have threads give up the interpreter sooner."""
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(_TURN)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(before)
 
 
 class Overlapped:

@@ -1,0 +1,259 @@
+"""Writing beside solving, in a process of its own: it measures and writes frames while the next ones are solved.
+
+A thread would share the interpreter's lock with the solver, and both are many short calls: at 10 000 cells they took
+half as long again as the longer of the two. Frames go through a pipe, a few of them ahead; answers come back.
+"""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from traceback import format_exception
+from typing import IO, Any
+
+from pipeline.errors import OutputError
+from pipeline.frame import Frame, Sink
+from pipeline.mesh.simplex import Mesh
+from pipeline.run import OnFrame, Recording, RunSummary
+from pipeline.sinks.overlapped import Overlapped
+
+# cells: below, a frame costs the solver more to hand over than to write (measured from 192 on)
+WORTH_A_PROCESS = 1000
+_SENT = ("index", "time", "x", "step", "v", "known", "work")  # of a frame; its mesh goes before the first
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_SERVE = f"from {__name__} import serve; serve()"
+_PATIENCE = 10.0  # [s] for a process without work to end
+
+Answer = Callable[[str, Any], None]
+
+
+class WriterProcess:
+    """A process that records one run after another; it starts with the first one and ends with `close`.
+
+    It ends too, after the frame under way, when this process does, however that ends. `keep`, a descriptor, stays open
+    as long as it lives: a lock held by it outlives this process until nothing more is written.
+    """
+
+    def __init__(self, *, keep: int | None = None) -> None:
+        self._keep = keep
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def recording(
+        self, sinks: Sequence[Sink], *, on_frame: OnFrame | None = None, before: RunSummary | None = None
+    ) -> "RemoteRecording":
+        """Return what takes frames as Recording does, and records them there; raises OutputError if none can start."""
+        if self._process is None or self._process.poll() is not None:
+            self._process = _started(self._keep)
+        return RemoteRecording(self._process, sinks, on_frame=on_frame, before=before)
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            process, self._process = self._process, None
+            with suppress(OSError):  # what it was sent half of does not matter any more
+                process.stdin.close()  # type: ignore[union-attr]  # a pipe
+            try:
+                process.wait(_PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            process.stdout.close()  # type: ignore[union-attr]  # a pipe
+
+    def __enter__(self) -> "WriterProcess":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _started(keep: int | None) -> "subprocess.Popen[bytes]":
+    paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
+    kept = () if keep is None or os.name != "posix" else (keep,)
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-c", _SERVE],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=os.environ | _ONE_THREAD | {"PYTHONPATH": paths},
+            pass_fds=kept,
+        )
+    except OSError as error:
+        raise OutputError(f"the process that writes frames cannot be started ({error.strerror or error})") from error
+
+
+class RemoteRecording:
+    """One run recorded in a WriterProcess; `summary`, and what `on_frame` is told, follow the frames written there.
+
+    The first failure is raised by the next take, drain or close. `on_frame` is called from a thread.
+    """
+
+    def __init__(
+        self,
+        process: "subprocess.Popen[bytes]",
+        sinks: Sequence[Sink],
+        *,
+        on_frame: OnFrame | None,
+        before: RunSummary | None,
+    ) -> None:
+        self.summary = before or Recording(()).summary
+        self._process, self._opening, self._on_frame = process, (tuple(sinks), before), on_frame
+        self._began, self._earlier = 0.0, self.summary.wall_seconds
+        self._waiting: deque[Frame] = deque()  # taken, not answered
+        self._failure: BaseException | None = None
+        self._failed = self._closed = self._sending = False
+        self._answered = threading.Condition()
+        self._listener: threading.Thread | None = None
+
+    def take(self, frame: Frame) -> None:
+        """Send one frame, when there is room; raises what an earlier one failed with."""
+        self._raise_failure()
+        if self._listener is None:
+            self._began = time.perf_counter()
+            self._listener = threading.Thread(target=self._listen, name="answers", daemon=True)
+            self._listener.start()
+            self._send((*self._opening, frame.mesh))
+        with self._answered:
+            self._waiting.append(frame)
+        self._send({name: getattr(frame, name) for name in _SENT})
+
+    def drain(self) -> None:
+        """Wait until every frame taken is written; raises what one of them failed with."""
+        with self._answered:
+            self._answered.wait_for(lambda: self._failed or not self._waiting)
+        self._raise_failure()
+
+    def close(self) -> None:
+        """Have what is waiting written and every sink closed; raises the first failure."""
+        if self._listener is not None:
+            if self._sending:  # a signal came in between: what follows would not be understood
+                self._failed = True
+                self._process.kill()
+            self._send(None)
+            self._listener.join()
+            self._listener = None
+            self.summary = self._timed(self.summary)
+        self._raise_failure()
+
+    def _send(self, message: object) -> None:
+        """Send a message; that the process has ended is told by who listens to it."""
+        self._sending = True
+        with suppress(BrokenPipeError):
+            pickle.dump(message, self._process.stdin, protocol=5)  # type: ignore[arg-type]  # a pipe
+            self._process.stdin.flush()  # type: ignore[union-attr]  # a pipe
+        self._sending = False
+
+    def _listen(self) -> None:
+        """Take answers until the last one; after a failure they have no effect."""
+        while not self._closed:
+            try:
+                self._take_answer(*pickle.load(self._process.stdout))  # type: ignore[arg-type]  # a pipe
+            except (EOFError, pickle.UnpicklingError):  # cut off where it ended
+                code = self._process.wait()
+                remedy = "; out of memory?" if code == -signal.SIGKILL else ""
+                self._fail(OutputError(f"the process that writes frames ended by itself (exit code {code}{remedy})"))
+                self._closed = True
+            except BaseException as error:  # of on_frame: raised again where it can stop the run
+                self._fail(error)
+
+    def _take_answer(self, kind: str, told: Any) -> None:
+        if kind == "failed":
+            self._fail(told)
+        else:
+            self.summary = self._timed(told)
+            self._closed = kind == "closed"
+        if kind == "written":
+            if self._on_frame is not None and not self._failed:
+                self._on_frame(self._waiting[0], self.summary)
+            with self._answered:  # last: who drains may rely on what on_frame did
+                self._waiting.popleft()
+                self._answered.notify_all()
+
+    def _fail(self, error: BaseException) -> None:
+        with self._answered:
+            if not self._failed:
+                self._failure, self._failed = error, True
+            self._answered.notify_all()
+
+    def _timed(self, summary: RunSummary) -> RunSummary:
+        """Return a summary whose wall time is that of who waits."""
+        return replace(summary, wall_seconds=self._earlier + time.perf_counter() - self._began)
+
+    def _raise_failure(self) -> None:
+        """Raise what failed, once."""
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+
+class _Answering:
+    """Between Overlapped and a Recording: tells at once what was written or failed."""
+
+    def __init__(self, recording: Recording, answer: Answer) -> None:
+        self._recording, self._answer = recording, answer
+
+    def take(self, frame: Frame) -> None:
+        try:
+            self._recording.take(frame)
+        except Exception as error:
+            self._answer("failed", _portable(error))
+            raise
+        self._answer("written", self._recording.summary)
+
+    def drain(self) -> None:
+        pass
+
+    def close(self) -> None:
+        try:
+            self._recording.close()
+        except Exception as error:
+            self._answer("failed", _portable(error))
+
+
+def _portable(error: Exception) -> Exception:
+    """Return an error that another process can raise, with its traceback where it is none of ours."""
+    if not isinstance(error, OutputError):
+        error.add_note("".join(format_exception(error)))
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return OutputError(f"{type(error).__name__}: {error}")
+    return error
+
+
+def serve() -> None:
+    """Record runs from stdin, answer to stdout: the life of a WriterProcess, which ends with its input.
+
+    Who asks decides when to stop: signals that a terminal or a queue sends to all are left to it.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb", buffering=0)
+    os.dup2(2, 1)  # what a library prints is no answer
+
+    def answer(kind: str, told: Any) -> None:
+        answers.write(pickle.dumps((kind, told)))
+
+    with suppress(EOFError, BrokenPipeError, pickle.UnpicklingError):  # who asks is gone
+        while True:
+            _record(requests, answer, *pickle.load(requests))
+
+
+def _record(requests: IO[bytes], answer: Answer, sinks: Sequence[Sink], before: RunSummary | None, mesh: Mesh) -> None:
+    """Record one run; where the input ends before it does, frames that wait are left out: nobody can be told."""
+    recording = Recording(sinks, before=before)
+    writer = Overlapped(_Answering(recording, answer))
+    try:
+        while (sent := pickle.load(requests)) is not None:
+            with suppress(Exception):  # told already
+                writer.take(Frame(mesh=mesh, **sent))
+    finally:
+        with suppress(Exception):  # told already
+            writer.close()
+    answer("closed", recording.summary)
