@@ -30,10 +30,10 @@ OUTPUTS = {
 }
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def _beside(monkeypatch):
-    """Small meshes too are written on a thread of its own."""
-    monkeypatch.setattr(variant_run, "WORTH_A_THREAD", 0)
+    """Small meshes too are written by a process of its own."""
+    monkeypatch.setattr(variant_run, "WORTH_A_PROCESS", 0)
 
 
 def case(folder, output, *, seconds=10.0, **sections):
@@ -65,6 +65,7 @@ def test_a_resumed_run_is_bit_identical(tmp_path, monkeypatch, output, stop):
     assert_same_series(whole.folder, folder)
 
 
+@pytest.mark.usefixtures("_beside")
 @pytest.mark.parametrize("output", OUTPUTS)
 def test_the_dataset_is_float64_whatever_the_frames_are(tmp_path, output):
     found = solve(case(tmp_path, output), tmp_path / "out").variants[0]
@@ -124,6 +125,7 @@ def listing_less(path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("_beside")
 @pytest.mark.parametrize("output", OUTPUTS)
 def test_kill_9_at_random_moments_and_the_rest_goes_on(tmp_path, output):
     mesh = {"shape": "box", "size": [2.0, 3.0, 1.0], "cells": [6, 7, 4]}  # enough cells for a thread, in the child too

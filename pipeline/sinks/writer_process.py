@@ -29,6 +29,7 @@ WORTH_A_PROCESS = 1000
 _SENT = ("index", "time", "x", "step", "v", "known", "work")  # of a frame; its mesh goes before the first
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _SERVE = f"from {__name__} import serve; serve()"
+_PIPE = 1 << 18  # [bytes] a frame or two: to hand one over does not wait for who takes it
 _PATIENCE = 10.0  # [s] for a process without work to end
 
 Answer = Callable[[str, Any], None]
@@ -80,6 +81,7 @@ def _started(keep: int | None) -> "subprocess.Popen[bytes]":
         return subprocess.Popen(
             [sys.executable, "-c", _SERVE],
             stdin=subprocess.PIPE,
+            pipesize=_PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | _ONE_THREAD | {"PYTHONPATH": paths},
             pass_fds=kept,
@@ -145,8 +147,9 @@ class RemoteRecording:
         """Send a message; that the process has ended is told by who listens to it."""
         self._sending = True
         with suppress(BrokenPipeError):
-            pickle.dump(message, self._process.stdin, protocol=5)  # type: ignore[arg-type]  # a pipe
-            self._process.stdin.flush()  # type: ignore[union-attr]  # a pipe
+            # in one piece: each write would wake up who reads
+            self._process.stdin.write(pickle.dumps(message, protocol=5))  # type: ignore[union-attr]  # a pipe
+            self._process.stdin.flush()  # type: ignore[union-attr]
         self._sending = False
 
     def _listen(self) -> None:
