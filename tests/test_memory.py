@@ -9,7 +9,6 @@ from pipeline import build, frames, load_case
 from pipeline.run import Recording, drive
 from pipeline.sinks.formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
-from pipeline.sinks.overlapped import Overlapped
 from tests.bodies import write_case
 
 FRAMES = {"vtu": 10_000, "vtkhdf": 2_000}  # a frame of the second takes five times as long
@@ -37,6 +36,6 @@ def test_memory_is_flat_over_thousands_of_frames(tmp_path, monkeypatch, name):
         if frame.index in (settled, count):
             seen[frame.index] = resident()
 
-    drive(frames(problem), Overlapped(Recording(sinks, on_frame=look)))
+    drive(frames(problem), Recording(sinks, on_frame=look))
     assert (seen[count] - seen[settled]) / (count - settled) < A_FRAME, seen
     assert sum(1 for _ in tmp_path.rglob(FORMATS[name].index)) == 1

@@ -1,7 +1,7 @@
 """Writing beside solving, in a process of its own: it measures and writes frames while the next ones are solved.
 
 A thread would share the interpreter's lock with the solver, and both are many short calls: at 10 000 cells they took
-half as long again as the longer of the two. Frames go through a pipe, a few of them ahead; answers come back.
+half as long again as the longer of the two. Frames wait in a pipe between the two; answers come back.
 """
 
 import os
@@ -22,14 +22,13 @@ from pipeline.errors import OutputError
 from pipeline.frame import Frame, Sink
 from pipeline.mesh.simplex import Mesh
 from pipeline.run import OnFrame, Recording, RunSummary
-from pipeline.sinks.overlapped import Overlapped
 
 # cells: below, a frame costs the solver more to hand over than to write (measured from 192 on)
 WORTH_A_PROCESS = 1000
 _SENT = ("index", "time", "x", "step", "v", "known", "work")  # of a frame; its mesh goes before the first
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _SERVE = f"from {__name__} import serve; serve()"
-_PIPE = 1 << 18  # [bytes] a frame or two: to hand one over does not wait for who takes it
+_PIPE = 1 << 20  # [bytes] as much as Linux gives anyone: frames that wait; a larger one waits with its solver
 _PATIENCE = 10.0  # [s] for a process without work to end
 
 Answer = Callable[[str, Any], None]
@@ -78,16 +77,20 @@ def _started(keep: int | None) -> "subprocess.Popen[bytes]":
     paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
     kept = () if keep is None or os.name != "posix" else (keep,)
     try:
-        return subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, "-c", _SERVE],
             stdin=subprocess.PIPE,
-            pipesize=_PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | _ONE_THREAD | {"PYTHONPATH": paths},
             pass_fds=kept,
         )
     except OSError as error:
         raise OutputError(f"the process that writes frames cannot be started ({error.strerror or error})") from error
+    with suppress(ImportError, AttributeError, OSError):  # of Linux; elsewhere 64 kB have to do
+        import fcntl
+
+        fcntl.fcntl(process.stdin, fcntl.F_SETPIPE_SZ, _PIPE)  # type: ignore[arg-type]  # a pipe
+    return process
 
 
 class RemoteRecording:
@@ -195,30 +198,6 @@ class RemoteRecording:
             raise failure
 
 
-class _Answering:
-    """Between Overlapped and a Recording: tells at once what was written or failed."""
-
-    def __init__(self, recording: Recording, answer: Answer) -> None:
-        self._recording, self._answer = recording, answer
-
-    def take(self, frame: Frame) -> None:
-        try:
-            self._recording.take(frame)
-        except Exception as error:
-            self._answer("failed", _portable(error))
-            raise
-        self._answer("written", self._recording.summary)
-
-    def drain(self) -> None:
-        pass
-
-    def close(self) -> None:
-        try:
-            self._recording.close()
-        except Exception as error:
-            self._answer("failed", _portable(error))
-
-
 def _portable(error: Exception) -> Exception:
     """Return an error that another process can raise, with its traceback where it is none of ours."""
     if not isinstance(error, OutputError):
@@ -249,14 +228,22 @@ def serve() -> None:
 
 
 def _record(requests: IO[bytes], answer: Answer, sinks: Sequence[Sink], before: RunSummary | None, mesh: Mesh) -> None:
-    """Record one run; where the input ends before it does, frames that wait are left out: nobody can be told."""
-    recording = Recording(sinks, before=before)
-    writer = Overlapped(_Answering(recording, answer))
+    """Record one run; after a failure its frames have no effect. Where the input ends early, the sinks are closed."""
+    recording, failed = Recording(sinks, before=before), False
     try:
         while (sent := pickle.load(requests)) is not None:
-            with suppress(Exception):  # told already
-                writer.take(Frame(mesh=mesh, **sent))
+            if not failed:
+                try:
+                    recording.take(Frame(mesh=mesh, **sent))
+                    answer("written", recording.summary)
+                except BrokenPipeError:
+                    raise
+                except Exception as error:
+                    failed = True
+                    answer("failed", _portable(error))
     finally:
-        with suppress(Exception):  # told already
-            writer.close()
+        try:
+            recording.close()
+        except Exception as error:
+            answer("failed", _portable(error))
     answer("closed", recording.summary)
