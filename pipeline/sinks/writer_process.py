@@ -162,7 +162,7 @@ class RemoteRecording:
                 self._take_answer(*pickle.load(self._process.stdout))  # type: ignore[arg-type]  # a pipe
             except (EOFError, pickle.UnpicklingError):  # cut off where it ended
                 code = self._process.wait()
-                remedy = "; out of memory?" if code == -signal.SIGKILL else ""
+                remedy = "; out of memory?" if code == -9 else ""  # SIGKILL, as the system's last resort
                 self._fail(OutputError(f"the process that writes frames ended by itself (exit code {code}{remedy})"))
                 self._closed = True
             except BaseException as error:  # of on_frame: raised again where it can stop the run
