@@ -57,14 +57,15 @@ class WriterProcess:
         """End the process."""
         if self._process is not None:
             process, self._process = self._process, None
+            requests, answers = _pipes(process)
             with suppress(OSError):  # what it was sent half of does not matter any more
-                process.stdin.close()  # type: ignore[union-attr]  # a pipe
+                requests.close()
             try:
                 process.wait(_PATIENCE)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-            process.stdout.close()  # type: ignore[union-attr]  # a pipe
+            answers.close()
 
     def __enter__(self) -> "WriterProcess":
         return self
@@ -89,8 +90,15 @@ def _started(keep: int | None) -> "subprocess.Popen[bytes]":
     with suppress(ImportError, AttributeError, OSError):  # of Linux; elsewhere 64 kB have to do
         import fcntl
 
-        fcntl.fcntl(process.stdin, fcntl.F_SETPIPE_SZ, _PIPE)  # type: ignore[arg-type]  # a pipe
+        fcntl.fcntl(_pipes(process)[0], fcntl.F_SETPIPE_SZ, _PIPE)
     return process
+
+
+def _pipes(process: "subprocess.Popen[bytes]") -> tuple[IO[bytes], IO[bytes]]:
+    """Return where requests to a process go in, and its answers come out."""
+    if process.stdin is None or process.stdout is None:
+        raise ValueError("a process without pipes")
+    return process.stdin, process.stdout
 
 
 class RemoteRecording:
@@ -109,6 +117,7 @@ class RemoteRecording:
     ) -> None:
         self.summary = before or Recording(()).summary
         self._process, self._opening, self._on_frame = process, (tuple(sinks), before), on_frame
+        self._requests, self._answers = _pipes(process)
         self._began, self._earlier = 0.0, self.summary.wall_seconds
         self._waiting: deque[Frame] = deque()  # taken, not answered
         self._failure: BaseException | None = None
@@ -151,15 +160,15 @@ class RemoteRecording:
         self._sending = True
         with suppress(BrokenPipeError):
             # in one piece: each write would wake up who reads
-            self._process.stdin.write(pickle.dumps(message, protocol=5))  # type: ignore[union-attr]  # a pipe
-            self._process.stdin.flush()  # type: ignore[union-attr]
+            self._requests.write(pickle.dumps(message, protocol=5))
+            self._requests.flush()
         self._sending = False
 
     def _listen(self) -> None:
         """Take answers until the last one; after a failure they have no effect."""
         while not self._closed:
             try:
-                self._take_answer(*pickle.load(self._process.stdout))  # type: ignore[arg-type]  # a pipe
+                self._take_answer(*pickle.load(self._answers))
             except (EOFError, pickle.UnpicklingError):  # cut off where it ended
                 code = self._process.wait()
                 remedy = "; out of memory?" if code == -9 else ""  # SIGKILL, as the system's last resort
