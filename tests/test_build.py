@@ -1,5 +1,8 @@
 """From a case to a problem: selections, loads, starts and supports mean what the case says, or are refused."""
 
+import pickle
+from itertools import islice
+
 import meshio
 import numpy as np
 import pytest
@@ -179,3 +182,13 @@ def test_schedule_and_names_come_through(problem):
     one = problem(schedule={"dt": 0.01, "frame_interval": 0.03, "frames": 7})
     assert (one.name, one.dt, one.steps_per_frame, one.frames) == ("beam/polar", 0.01, 3, 7)
     assert [(f.index, f.step) for f in frames(one)] == [(i, 3 * i) for i in range(8)]
+
+
+@pytest.mark.parametrize("iterations", [1, "converged"])
+def test_a_problem_travels_to_another_process_before_and_after_it_was_solved(problem, iterations):
+    """As a task of dask does."""
+    fresh = problem(method={"iterations": iterations})
+    sent = pickle.dumps(fresh)
+    whole = list(islice(frames(fresh), 3))
+    for used in (pickle.loads(sent), pickle.loads(pickle.dumps(fresh))):
+        assert all(np.array_equal(a.x, b.x) for a, b in zip(whole, islice(frames(used), 3), strict=True))

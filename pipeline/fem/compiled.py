@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,9 @@ class CompiledBody(Body):
         from pipeline.fem import plane_kernels, tangent_kernels
 
         return tangent_kernels if self.mesh.dimension == 3 else plane_kernels
+
+    def __getstate__(self) -> dict[str, Any]:  # modules do not travel to another process
+        return {name: value for name, value in vars(self).items() if not isinstance(value, ModuleType)}
 
     @cached_property
     def _no_rotations(self) -> Floats:
