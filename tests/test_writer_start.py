@@ -121,3 +121,10 @@ with folder_lock(folder) as lock, WriterProcess(keep=lock) as process:
     assert Erring(tmp_path / "notes").lines() == ["0", "1", "2", "closed"]
     if sys.platform == "linux":
         assert (tmp_path / "held").read_text() == "1"
+
+
+def test_python_has_nothing_to_remark(tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv("PYTHONWARNINGS", "always::ResourceWarning")
+    with WriterProcess() as process:
+        drive(some_frames(3), process.recording([Notes(tmp_path / "notes")]))
+    assert capfd.readouterr() == ("", "")

@@ -268,7 +268,7 @@ def serve() -> None:
     def answer(kind: str, told: Any) -> None:
         answers.write(pickle.dumps((kind, told)))
 
-    with suppress(EOFError, BrokenPipeError, pickle.UnpicklingError):  # who asks is gone
+    with answers, suppress(EOFError, BrokenPipeError, pickle.UnpicklingError):  # who asks is gone
         while True:
             opening = pickle.load(requests)
             answers.write(_BEGIN)
