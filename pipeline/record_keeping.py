@@ -29,6 +29,7 @@ from pipeline.sinks.netcdf import NetcdfSink
 CHECKPOINTS = "checkpoints"
 LOCK = ".lock"
 _PATIENCE = 2.0  # [s] what writes the frames of a run ends a moment after one that was killed
+_STREAMS = 2  # the last number of a standard stream: a process that is started has its own there
 
 
 class Interrupted(KeyboardInterrupt):
@@ -106,11 +107,17 @@ def _locked(path: Path) -> int:
 def _opened(path: Path) -> int:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        return os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        descriptor, low = os.open(path, os.O_RDWR | os.O_CREAT, 0o644), []
     except (FileExistsError, NotADirectoryError) as error:
         raise OutputError(f"{path}: part of this path is a file, not a folder") from error
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
+    while descriptor <= _STREAMS:
+        low.append(descriptor)
+        descriptor = os.dup(descriptor)
+    for one in low:
+        os.close(one)
+    return descriptor
 
 
 def _taken(descriptor: int, path: Path) -> bool:

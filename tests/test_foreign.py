@@ -80,6 +80,11 @@ def test_what_a_child_answers_comes_over_as_it_is(child):
     assert child("loud") == "quiet"
 
 
+def test_what_is_no_text_in_the_path_is_left_out(child, monkeypatch):
+    monkeypatch.setattr(sys, "path", [*sys.path, Path("/nowhere")])
+    test_what_a_child_answers_comes_over_as_it_is(child)
+
+
 @pytest.mark.parametrize("name", ["SIGSEGV", "SIGABRT", "SIGBUS", "SIGKILL"])
 def test_a_death_is_told_by_its_name_and_the_next_file_is_read(child, name):
     import signal

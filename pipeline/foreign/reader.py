@@ -94,7 +94,8 @@ class Reader:
         if self._process is not None and self._process.poll() is None:
             return self._process
         self.close()
-        code = _START.format(paths=sys.path, package=str(Path(__file__).resolve().parent.parent))
+        paths = [path for path in sys.path if isinstance(path, str)]  # of all else Python takes no notice
+        code = _START.format(paths=paths, package=str(Path(__file__).resolve().parent.parent))
         self._process = subprocess.Popen(
             [sys.executable, "-c", code],
             stdin=subprocess.PIPE,

@@ -12,13 +12,13 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from traceback import format_exception
 from typing import IO, Any
 
-from pipeline.errors import OutputError
+from pipeline.errors import OutputError, shortened
 from pipeline.frame import Frame, Sink
 from pipeline.mesh.simplex import Mesh
 from pipeline.run import OnFrame, Recording, RunSummary
@@ -27,7 +27,10 @@ from pipeline.run import OnFrame, Recording, RunSummary
 WORTH_A_PROCESS = 1000
 _SENT = ("index", "time", "x", "step", "v", "known", "work")  # of a frame; its mesh goes before the first
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-_SERVE = f"from {__name__} import serve; serve()"
+# the paths of this process and no other: what lies in the working folder may have the name of any module
+_SERVE = f"import sys; sys.path[:] = {{paths!r}}; from {__name__} import serve; serve()"
+_ASKING = (signal.SIGINT, signal.SIGTERM)
+_BEGIN = b"what follows are answers\n"  # what was printed while the process started comes before it
 _PIPE = 1 << 20  # [bytes] as much as Linux gives anyone: frames that wait; a larger one waits with its solver
 _PATIENCE = 10.0  # [s] for a process without work to end
 
@@ -49,7 +52,9 @@ class WriterProcess:
         self, sinks: Sequence[Sink], *, on_frame: OnFrame | None = None, before: RunSummary | None = None
     ) -> "RemoteRecording":
         """Return what takes frames as Recording does, and records them there; raises OutputError if none can start."""
-        if self._process is None or self._process.poll() is not None:
+        if self._process is not None and self._process.poll() is not None:
+            self.close()
+        if self._process is None:
             self._process = _started(self._keep)
         return RemoteRecording(self._process, sinks, on_frame=on_frame, before=before)
 
@@ -58,14 +63,16 @@ class WriterProcess:
         if self._process is not None:
             process, self._process = self._process, None
             requests, answers = _pipes(process)
-            with suppress(OSError):  # what it was sent half of does not matter any more
-                requests.close()
             try:
+                with suppress(OSError):  # what it was sent half of does not matter any more
+                    requests.close()
                 process.wait(_PATIENCE)
             except subprocess.TimeoutExpired:
+                pass
+            finally:  # also where who waits is interrupted: nothing is written once the folder is let go
                 process.kill()
                 process.wait()
-            answers.close()
+                answers.close()
 
     def __enter__(self) -> "WriterProcess":
         return self
@@ -75,16 +82,17 @@ class WriterProcess:
 
 
 def _started(keep: int | None) -> "subprocess.Popen[bytes]":
-    paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
+    paths = [path for path in sys.path if isinstance(path, str)]  # of all else Python takes no notice
     kept = () if keep is None or os.name != "posix" else (keep,)
     try:
-        process = subprocess.Popen(
-            [sys.executable, "-c", _SERVE],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=os.environ | _ONE_THREAD | {"PYTHONPATH": paths},
-            pass_fds=kept,
-        )
+        with _undisturbed():
+            process = subprocess.Popen(
+                [sys.executable, "-c", _SERVE.format(paths=paths)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env=os.environ | _ONE_THREAD,
+                pass_fds=kept,
+            )
     except OSError as error:
         raise OutputError(f"the process that writes frames cannot be started ({error.strerror or error})") from error
     with suppress(ImportError, AttributeError, OSError):  # of Linux; elsewhere 64 kB have to do
@@ -92,6 +100,19 @@ def _started(keep: int | None) -> "subprocess.Popen[bytes]":
 
         fcntl.fcntl(_pipes(process)[0], fcntl.F_SETPIPE_SZ, _PIPE)
     return process
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Hold back what asks for an end: a process that is started here never gets it, from its first moment on."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ASKING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _pipes(process: "subprocess.Popen[bytes]") -> tuple[IO[bytes], IO[bytes]]:
@@ -166,16 +187,29 @@ class RemoteRecording:
 
     def _listen(self) -> None:
         """Take answers until the last one; after a failure they have no effect."""
+        while (line := self._answers.readline()) and not line.endswith(_BEGIN):
+            pass
         while not self._closed:
             try:
-                self._take_answer(*pickle.load(self._answers))
-            except (EOFError, pickle.UnpicklingError):  # cut off where it ended
-                code = self._process.wait()
-                remedy = "; out of memory?" if code == -9 else ""  # SIGKILL, as the system's last resort
-                self._fail(OutputError(f"the process that writes frames ended by itself (exit code {code}{remedy})"))
+                kind, told = pickle.load(self._answers)
+            except Exception as error:
+                self._fail(self._ended(error))
                 self._closed = True
+                return
+            try:
+                self._take_answer(kind, told)
             except BaseException as error:  # of on_frame: raised again where it can stop the run
                 self._fail(error)
+
+    def _ended(self, error: Exception) -> OutputError:
+        """Return what to say where there are no more answers: the process has ended, or it is ended here."""
+        if not isinstance(error, EOFError):  # it would wait for who listens
+            self._process.kill()
+            self._process.wait()
+            return OutputError(f"the answers of the process that writes frames make no sense ({shortened(str(error))})")
+        code = self._process.wait()
+        remedy = "; out of memory?" if code == -9 else ""  # SIGKILL, as the system's last resort
+        return OutputError(f"the process that writes frames ended by itself (exit code {code}{remedy})")
 
     def _take_answer(self, kind: str, told: Any) -> None:
         if kind == "failed":
@@ -223,17 +257,22 @@ def serve() -> None:
 
     Who asks decides when to stop: signals that a terminal or a queue sends to all are left to it.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in _ASKING:
         signal.signal(number, signal.SIG_IGN)
+    while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:  # closed where it was started: answers took its number
+        pass
+    os.close(spare)
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb", buffering=0)
     os.dup2(2, 1)  # what a library prints is no answer
 
     def answer(kind: str, told: Any) -> None:
         answers.write(pickle.dumps((kind, told)))
 
-    with suppress(EOFError, BrokenPipeError, pickle.UnpicklingError):  # who asks is gone
+    with answers, suppress(EOFError, BrokenPipeError, pickle.UnpicklingError):  # who asks is gone
         while True:
-            _record(requests, answer, *pickle.load(requests))
+            opening = pickle.load(requests)
+            answers.write(_BEGIN)
+            _record(requests, answer, *opening)
 
 
 def _record(requests: IO[bytes], answer: Answer, sinks: Sequence[Sink], before: RunSummary | None, mesh: Mesh) -> None:
