@@ -57,17 +57,17 @@ INVERSIONS: Mapping[str, Callable[[], Treatment] | None] = {"flip": None, "last"
 
 
 def _backward_euler(body: Body, dt: float, method: MethodSpec) -> Stepper:
-    return _guarded(BackwardEuler(body, dt, stage_solver(body, dt, method), _treatment(method)), body, method)
+    return _guarded(BackwardEuler(body, dt, stage_solver(body, dt, method), _treatment(body, method)), body, method)
 
 
 def _bdf2(body: Body, dt: float, method: MethodSpec) -> Stepper:
-    first = BackwardEuler(body, dt, stage_solver(body, dt, method), _treatment(method))
+    first = BackwardEuler(body, dt, stage_solver(body, dt, method), _treatment(body, method))
     rest = stage_solver(body, 2 * dt / 3, method)
-    return _guarded(BDF2(body, dt, first, rest, _treatment(method)), body, method)
+    return _guarded(BDF2(body, dt, first, rest, _treatment(body, method)), body, method)
 
 
 def _symplectic_euler(body: Body, dt: float, method: MethodSpec) -> Stepper:
-    return Guarded(body, SymplecticEuler(body, dt, _treatment(method)))
+    return Guarded(body, SymplecticEuler(body, dt, _treatment(body, method)))
 
 
 STEPPERS: Mapping[str, Callable[[Body, float, MethodSpec], Stepper]] = {
@@ -89,6 +89,7 @@ MODE_FACTORS: Mapping[str, Callable[[float], complex]] = {
 def stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     """Return what solves the implicit stages of size h [s]: as far as the method's law and iterations ask."""
     if body.law.constant_tangent:
+        body.rehearse()
         return Prefactored(body, _linear_solver(body, h, method, constant=True), h)
     solver = _linear_solver(body, h, method, constant=False)
     auto = method.model == "auto"
@@ -135,9 +136,12 @@ def _rest(body: Body, h: float) -> Rest:
     return Rest(body.mesh.points[body.free], values)
 
 
-def _treatment(method: MethodSpec) -> Treatment | None:
+def _treatment(body: Body, method: MethodSpec) -> Treatment | None:
     made = INVERSIONS[method.inversion]
-    return made() if made is not None else None
+    if made is None:
+        return None
+    polar(np.eye(body.mesh.dimension)[None])  # its kernel is compiled, or loaded, here
+    return made()
 
 
 def _guarded(stepper: Stepper, body: Body, method: MethodSpec) -> Stepper:
