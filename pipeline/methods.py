@@ -18,19 +18,19 @@ from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Floats, Mesh
 from pipeline.stepping import backward_euler, bdf2
 from pipeline.stepping.backward_euler import BackwardEuler
-from pipeline.stepping.banded import BandedCholesky
+from pipeline.stepping.banded import BandedCholesky, band_of
 from pipeline.stepping.bdf2 import BDF2
 from pipeline.stepping.conjugate_gradients import block_jacobi_cg
 from pipeline.stepping.fidelity import COROTATIONAL, Auto
 from pipeline.stepping.guard import Guarded
 from pipeline.stepping.implicit import FrozenPasses, Prefactored, StageSolver
 from pipeline.stepping.inversion import Crossing, Last, Treatment
-from pipeline.stepping.linear_solve import LinearSolver, SuperLU, choice
+from pipeline.stepping.linear_solve import LinearSolver, SuperLU, choice, pardiso_or_lu
 from pipeline.stepping.newton import Converged, NewtonLimits
-from pipeline.stepping.pardiso import Pardiso
+from pipeline.stepping.pardiso import library
 from pipeline.stepping.state import Stepper
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
-from pipeline.stepping.warped import Rest, multigrid_cg, warped_cg
+from pipeline.stepping.warped import Rest, factor_kind, multigrid_cg, warped_cg
 
 Rotation = Callable[[Floats], Floats]
 
@@ -46,7 +46,7 @@ MASSES: Mapping[str, Callable[[Mesh, float], Floats]] = {
 LINEAR_SOLVERS: Mapping[str, Callable[..., LinearSolver]] = {
     "banded": BandedCholesky,
     "superlu": SuperLU,
-    "pardiso": Pardiso,
+    "pardiso": pardiso_or_lu,
     "warped": warped_cg,
     "multigrid": multigrid_cg,
     "cg": block_jacobi_cg,
@@ -110,6 +110,11 @@ def linear_solvers(body: Body, h: float, method: MethodSpec) -> list[dict[str, s
     """Return name and reason of the linear solvers that a method uses on a body: none, one, or two for "auto"."""
     if method.stepper in STEP_LIMITS:
         return []
+    if method.linear_solver == "pardiso" and library() is None:
+        return [{"name": "superlu", "reason": "the case names pardiso; MKL is not installed"}]
+    if method.linear_solver == "warped":
+        kind = factor_kind(band_of(body.free_pattern).megabytes)
+        return [{"name": "warped", "reason": f"the case names it; the factor at rest is {kind}"}]
     if method.linear_solver != "auto":
         return [{"name": method.linear_solver, "reason": "the case names it"}]
     kinds = [True, False] if method.model == "auto" else [body.law.constant_tangent]
@@ -195,7 +200,7 @@ DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
         "multigrid": "as warped, with a multigrid cycle for the factor: less memory, quick set-up; large meshes",
         "banded": "Cholesky of the band, factors every new matrix; fastest on small meshes",
         "superlu": "sparse direct, factors every new matrix",
-        "pardiso": "sparse direct by Intel MKL (the `mkl` extra), factors every new matrix; positive definite ones",
+        "pardiso": "sparse direct by Intel MKL (the `mkl` extra; without it superlu), factors every new matrix",
         "cg": "conjugate gradients with block Jacobi to method.linear_rtol: for small steps",
     },
     "mesh.split": {
