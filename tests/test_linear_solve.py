@@ -59,6 +59,15 @@ def test_warped_takes_one_factor_for_the_whole_run(cases_folder, monkeypatch, fa
     assert all(1 < one.linear_iterations < 60 for one in work[1:])
 
 
+@pytest.mark.parametrize("solver", ["warped", "multigrid"])
+@pytest.mark.parametrize(("keys", "most"), [({"method.iterations": "converged"}, 1), ({"method.model": "auto"}, 2)])
+def test_newton_and_auto_keep_that_factor_too(cases_folder, solver: str, keys: dict[str, object], most: int) -> None:
+    overrides = {"method.linear_solver": solver, "schedule.frames": 10, **keys}
+    work = [f.work for f in frames(build(load_case(cases_folder / "bar.toml", overrides=overrides).variant("polar")))]
+    assert sum(one.solves for one in work) > 10  # several in some steps
+    assert 1 <= sum(one.factorisations for one in work) <= most  # auto's linear rung has one of its own
+
+
 @pytest.mark.parametrize("factor", FACTORS)
 def test_warped_gives_the_same_with_every_factor(cases_folder, monkeypatch, factor: str) -> None:
     expected = path(cases_folder, "superlu", "polar", **{"schedule.frames": 20})
