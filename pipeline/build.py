@@ -14,6 +14,7 @@ from pipeline.fem.material import Material
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.simplex import Mesh, component_labels
 from pipeline.methods import INVERSIONS, LAWS, LINEAR_SOLVERS, MASSES, ROTATIONS, SHAPES, STEP_LIMITS, STEPPERS
+from pipeline.stepping.pardiso import library
 from pipeline.stepping.state import State, Stepper
 
 
@@ -150,6 +151,11 @@ def _notes(case: Case, mesh: Mesh, mesh_notes: Sequence[str]) -> tuple[str, ...]
         notes.append(f"method.{', method.'.join(unused)} not used: method.model = 'auto' decides")
     if case.method.law == "linear" and "method.rotation" in case.own_keys:
         notes.append("method.rotation is not used by the linear law")
+    if case.method.linear_solver == "pardiso" and case.method.stepper not in STEP_LIMITS and library() is None:
+        notes.append(
+            "method.linear_solver = 'pardiso' needs the mkl package, which is not installed: superlu takes its place; "
+            "to have it: pip install 'corotational-pipeline[mkl]'"
+        )
     pieces, _ = component_labels(mesh)
     if pieces > 1:
         notes.append(f"the mesh has {pieces} components")

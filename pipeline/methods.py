@@ -18,19 +18,19 @@ from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Floats, Mesh
 from pipeline.stepping import backward_euler, bdf2
 from pipeline.stepping.backward_euler import BackwardEuler
-from pipeline.stepping.banded import BandedCholesky
+from pipeline.stepping.banded import BandedCholesky, band_of
 from pipeline.stepping.bdf2 import BDF2
 from pipeline.stepping.conjugate_gradients import block_jacobi_cg
 from pipeline.stepping.fidelity import COROTATIONAL, Auto
 from pipeline.stepping.guard import Guarded
 from pipeline.stepping.implicit import FrozenPasses, Prefactored, StageSolver
 from pipeline.stepping.inversion import Crossing, Last, Treatment
-from pipeline.stepping.linear_solve import LinearSolver, SuperLU, choice
+from pipeline.stepping.linear_solve import LinearSolver, SuperLU, choice, pardiso_or_lu
 from pipeline.stepping.newton import Converged, NewtonLimits
-from pipeline.stepping.pardiso import Pardiso
+from pipeline.stepping.pardiso import library
 from pipeline.stepping.state import Stepper
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
-from pipeline.stepping.warped import Rest, multigrid_cg, warped_cg
+from pipeline.stepping.warped import Rest, factor_kind, multigrid_cg, warped_cg
 
 Rotation = Callable[[Floats], Floats]
 
@@ -46,7 +46,7 @@ MASSES: Mapping[str, Callable[[Mesh, float], Floats]] = {
 LINEAR_SOLVERS: Mapping[str, Callable[..., LinearSolver]] = {
     "banded": BandedCholesky,
     "superlu": SuperLU,
-    "pardiso": Pardiso,
+    "pardiso": pardiso_or_lu,
     "warped": warped_cg,
     "multigrid": multigrid_cg,
     "cg": block_jacobi_cg,
@@ -57,17 +57,17 @@ INVERSIONS: Mapping[str, Callable[[], Treatment] | None] = {"flip": None, "last"
 
 
 def _backward_euler(body: Body, dt: float, method: MethodSpec) -> Stepper:
-    return _guarded(BackwardEuler(body, dt, stage_solver(body, dt, method), _treatment(method)), body, method)
+    return _guarded(BackwardEuler(body, dt, stage_solver(body, dt, method), _treatment(body, method)), body, method)
 
 
 def _bdf2(body: Body, dt: float, method: MethodSpec) -> Stepper:
-    first = BackwardEuler(body, dt, stage_solver(body, dt, method), _treatment(method))
+    first = BackwardEuler(body, dt, stage_solver(body, dt, method), _treatment(body, method))
     rest = stage_solver(body, 2 * dt / 3, method)
-    return _guarded(BDF2(body, dt, first, rest, _treatment(method)), body, method)
+    return _guarded(BDF2(body, dt, first, rest, _treatment(body, method)), body, method)
 
 
 def _symplectic_euler(body: Body, dt: float, method: MethodSpec) -> Stepper:
-    return Guarded(body, SymplecticEuler(body, dt, _treatment(method)))
+    return Guarded(body, SymplecticEuler(body, dt, _treatment(body, method)))
 
 
 STEPPERS: Mapping[str, Callable[[Body, float, MethodSpec], Stepper]] = {
@@ -89,6 +89,7 @@ MODE_FACTORS: Mapping[str, Callable[[float], complex]] = {
 def stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     """Return what solves the implicit stages of size h [s]: as far as the method's law and iterations ask."""
     if body.law.constant_tangent:
+        body.rehearse()
         return Prefactored(body, _linear_solver(body, h, method, constant=True), h)
     solver = _linear_solver(body, h, method, constant=False)
     auto = method.model == "auto"
@@ -109,6 +110,11 @@ def linear_solvers(body: Body, h: float, method: MethodSpec) -> list[dict[str, s
     """Return name and reason of the linear solvers that a method uses on a body: none, one, or two for "auto"."""
     if method.stepper in STEP_LIMITS:
         return []
+    if method.linear_solver == "pardiso" and library() is None:
+        return [{"name": "superlu", "reason": "the case names pardiso; MKL is not installed"}]
+    if method.linear_solver == "warped":
+        kind = factor_kind(band_of(body.free_pattern).megabytes)
+        return [{"name": "warped", "reason": f"the case names it; the factor at rest is {kind}"}]
     if method.linear_solver != "auto":
         return [{"name": method.linear_solver, "reason": "the case names it"}]
     kinds = [True, False] if method.model == "auto" else [body.law.constant_tangent]
@@ -135,9 +141,12 @@ def _rest(body: Body, h: float) -> Rest:
     return Rest(body.mesh.points[body.free], values)
 
 
-def _treatment(method: MethodSpec) -> Treatment | None:
+def _treatment(body: Body, method: MethodSpec) -> Treatment | None:
     made = INVERSIONS[method.inversion]
-    return made() if made is not None else None
+    if made is None:
+        return None
+    polar(np.eye(body.mesh.dimension)[None])  # its kernel is compiled, or loaded, here
+    return made()
 
 
 def _guarded(stepper: Stepper, body: Body, method: MethodSpec) -> Stepper:
@@ -191,7 +200,7 @@ DESCRIPTIONS: Mapping[str, Mapping[str, str]] = {
         "multigrid": "as warped, with a multigrid cycle for the factor: less memory, quick set-up; large meshes",
         "banded": "Cholesky of the band, factors every new matrix; fastest on small meshes",
         "superlu": "sparse direct, factors every new matrix",
-        "pardiso": "sparse direct by Intel MKL (the `mkl` extra), factors every new matrix; positive definite ones",
+        "pardiso": "sparse direct by Intel MKL (the `mkl` extra; without it superlu), factors every new matrix",
         "cg": "conjugate gradients with block Jacobi to method.linear_rtol: for small steps",
     },
     "mesh.split": {

@@ -1,6 +1,8 @@
 """A step works in room made once: beyond the state that it returns it allocates nothing that grows with the mesh."""
 
+import ast
 import tracemalloc
+from pathlib import Path
 
 import pytest
 
@@ -26,6 +28,30 @@ def test_an_implicit_step_allocates_its_state(cases_folder, method: dict, steppe
 def test_an_explicit_step_allocates_its_state(cases_folder) -> None:
     keys = {"mesh.cells": CELLS, "schedule.dt": 1e-4, "method.stepper": "symplectic_euler", "method.mass": "lumped"}
     check(build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant("polar")))
+
+
+KERNELS = sorted((Path(__file__).parents[1] / "pipeline").rglob("*kernels.py"))
+CONSTANTS = {"LANES", "d", "np"}  # cells at once, and the dimension
+
+
+@pytest.mark.parametrize("path", KERNELS, ids=lambda path: path.stem)
+def test_kernels_allocate_what_does_not_grow(path: Path) -> None:
+    """What numba allocates tracemalloc does not see."""
+    found = kernel_allocations(path.read_text())
+    assert [line for line, names in found if names - CONSTANTS] == []
+
+
+def test_an_allocation_in_a_kernel_is_seen() -> None:
+    source = "a = np.empty((9, LANES))\nb = np.zeros_like(x)\nc = x.copy(), np.empty(len(x))\n"
+    assert [line for line, names in kernel_allocations(source) if names - CONSTANTS] == [2, 3, 3]
+
+
+def kernel_allocations(source: str) -> list[tuple[int, set[str]]]:
+    """The lines of calls that make arrays, and the names that their sizes depend on."""
+    makers = {"empty", "zeros", "ones", "full", "empty_like", "zeros_like", "ones_like", "full_like", "copy", "array"}
+    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
+    made = [call for call in calls if isinstance(call.func, ast.Attribute) and call.func.attr in makers]
+    return sorted((c.lineno, {n.id for n in ast.walk(c) if isinstance(n, ast.Name)}) for c in made)
 
 
 def check(problem) -> None:

@@ -12,7 +12,7 @@ from pipeline.fem.rotation import gram_schmidt, polar, polar_by_svd
 from pipeline.fem.supports import Supports
 from pipeline.measures import volumes_and_angles, volumes_and_angles_by_numpy
 from pipeline.mesh.shapes import box, rectangle
-from pipeline.mesh.simplex import edge_matrices, signed_volumes
+from pipeline.mesh.simplex import Mesh, edge_matrices, signed_volumes
 
 MATERIAL = Material(1e6, 0.3, 1000.0)
 NOWHERE = Supports(np.zeros(0, dtype=np.int64))
@@ -20,7 +20,11 @@ NOWHERE = Supports(np.zeros(0, dtype=np.int64))
 
 @pytest.fixture(params=[2, 3], ids=["triangles", "tetrahedra"])
 def bodies(request) -> tuple[Body, Body]:
-    mesh = box([1.0, 2.0, 1.5], [2, 3, 2]) if request.param == 3 else rectangle([1.0, 2.0], [4, 7])
+    even = box([1.0, 2.0, 1.5], [2, 3, 2]) if request.param == 3 else rectangle([1.0, 2.0], [4, 7])
+    # cells of different volumes: what is to be weighted by them would not show in equal ones
+    moved = even.points + 0.05 * np.random.default_rng(0).uniform(-1, 1, even.points.shape)
+    mesh = Mesh(moved, even.cells)
+    assert mesh.rest_volumes.max() > 1.5 * mesh.rest_volumes.min()
     arguments = (mesh, Corotational(MATERIAL), NOWHERE, np.zeros_like(mesh.points), consistent_mass_pairs)
     return Body(*arguments), CompiledBody(*arguments)
 

@@ -13,6 +13,7 @@ from pipeline.analysis import compare
 from pipeline.campaign import run_campaign
 from pipeline.errors import CaseError
 from pipeline.fem.body import Body
+from pipeline.fem.compiled import CompiledBody
 from pipeline.fem.supports import rotation_about
 from pipeline.fem.turning import spurious_volume
 from pipeline.frame import Frame
@@ -71,6 +72,16 @@ def test_the_compiled_turning_is_the_plain_one_and_its_bound_holds(d: int, shake
     assert exact <= bound * (1 + 1e-9)
     if turn < 0.01 and shake < 0.01:
         assert bound < 20 * exact  # of use where rotations are small
+
+
+@pytest.mark.parametrize("turn", [0.1, 0.5, 1.0])
+def test_the_compiled_bound_of_angles_is_that_of_its_formula(turn: float) -> None:
+    body = solid(box([1.0, 2.0, 1.5], [2, 3, 2]), "corotational", held=[])
+    assert isinstance(body, CompiledBody)
+    x = body.mesh.points @ rotation_about(np.array([1.0, 2.0, -1.0]), turn).T
+    cells, G, _, mu, lam = body._cells
+    tangent, _ = body._turning_kernels.bounds(x, cells, G, mu, lam)
+    assert tangent == pytest.approx(np.tan(turn) / 2, rel=1e-6)  # |a| / (2 (tr S - s)) with s = 1, the axis
 
 
 @pytest.mark.parametrize("d", [2, 3])

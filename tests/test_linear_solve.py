@@ -1,11 +1,12 @@
 """Every linear solver gives the same motion, and says so where a matrix is none that it can take."""
 
 import sys
+from importlib import import_module
 
 import numpy as np
 import pytest
 
-from pipeline import build, frames, load_case
+from pipeline import build, frames, load_case, methods
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import assemble_pattern
 from pipeline.mesh.shapes import box
@@ -58,6 +59,15 @@ def test_warped_takes_one_factor_for_the_whole_run(cases_folder, monkeypatch, fa
     assert all(1 < one.linear_iterations < 60 for one in work[1:])
 
 
+@pytest.mark.parametrize("solver", ["warped", "multigrid"])
+@pytest.mark.parametrize(("keys", "most"), [({"method.iterations": "converged"}, 1), ({"method.model": "auto"}, 2)])
+def test_newton_and_auto_keep_that_factor_too(cases_folder, solver: str, keys: dict[str, object], most: int) -> None:
+    overrides = {"method.linear_solver": solver, "schedule.frames": 10, **keys}
+    work = [f.work for f in frames(build(load_case(cases_folder / "bar.toml", overrides=overrides).variant("polar")))]
+    assert sum(one.solves for one in work) > 10  # several in some steps
+    assert 1 <= sum(one.factorisations for one in work) <= most  # auto's linear rung has one of its own
+
+
 @pytest.mark.parametrize("factor", FACTORS)
 def test_warped_gives_the_same_with_every_factor(cases_folder, monkeypatch, factor: str) -> None:
     expected = path(cases_folder, "superlu", "polar", **{"schedule.frames": 20})
@@ -73,25 +83,31 @@ def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypa
     small = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
     large = assemble_pattern(box([1.0, 1.0, 1.0], [9, 9, 9])).pattern
 
+    reasons: list[str] = []
+
     def chosen(pattern, *, constant: bool, stiffness: float = 1e3) -> str:
         name, reason = linear_solve.choice(pattern, constant=constant, stiffness=stiffness)
         assert "MB" in reason
+        reasons.append(reason)
         return name
 
     assert chosen(small, constant=True) == chosen(small, constant=False) == "banded"
     assert chosen(large, constant=False) == chosen(large, constant=False, stiffness=2.0) == "warped"
     monkeypatch.setattr(linear_solve, "_WARPED_BAND", 1.0)
     assert chosen(large, constant=False) == "multigrid" and chosen(large, constant=False, stiffness=2.0) == "cg"
+    assert "more than 0.5, with warped 1; h omega_max is up to 1e+03" in reasons[-2]
     monkeypatch.setattr(linear_solve, "_CONSTANT_BAND", 1.0)
     assert chosen(large, constant=True) == "pardiso"
     with monkeypatch.context() as small_machine:
         small_machine.setattr(linear_solve, "installed_bytes", lambda: 1e6)
         assert chosen(large, constant=True) == "multigrid"
+        assert " of the 0.001 GB of memory, more than half; " in reasons[-1]
     monkeypatch.setattr(linear_solve, "library", lambda: None)
     monkeypatch.setattr(linear_solve, "_CONSTANT_BAND_WITHOUT_MKL", 1.0)
     assert chosen(large, constant=True) == "superlu"
     monkeypatch.setattr(linear_solve, "_LU_BAND", 1.0)
     assert chosen(large, constant=True) == "multigrid"
+    assert "with superlu 1; MKL is not installed" in reasons[-1]
 
 
 def test_the_bound_of_the_frequencies_is_one(cases_folder) -> None:
@@ -100,11 +116,19 @@ def test_the_bound_of_the_frequencies_is_one(cases_folder) -> None:
     assert highest <= body.frequency_bound < 4 * highest
 
 
-def test_pardiso_without_mkl_says_what_to_install(monkeypatch) -> None:
-    monkeypatch.setattr(pardiso, "library", lambda: None)
-    pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
+def test_pardiso_without_mkl_is_superlu_and_says_so(cases_folder, monkeypatch) -> None:
+    expected = path(cases_folder, "superlu", "polar", **{"schedule.frames": 3})
+    for module in (pardiso, linear_solve, methods, import_module("pipeline.build")):
+        monkeypatch.setattr(module, "library", lambda: None)
+    found = path(cases_folder, "pardiso", "polar", **{"schedule.frames": 3})
+    assert np.array_equal(found[-1], expected[-1])
+    case = load_case(cases_folder / "bar.toml", overrides={"method.linear_solver": "pardiso"})
+    problem = build(case.variant("polar"))
+    assert "superlu takes its place; to have it: pip install 'corotational-pipeline[mkl]'" in problem.notes[-1]
+    told = linear_solvers(problem.body, problem.dt, problem.method)
+    assert told == [{"name": "superlu", "reason": "the case names pardiso; MKL is not installed"}]
     with pytest.raises(SolveError, match=r"pip install 'corotational-pipeline\[mkl\]'"):
-        LINEAR_SOLVERS["pardiso"](pattern, 1e-8, None)
+        Pardiso(problem.body.free_pattern)
 
 
 @pytest.mark.parametrize("solver", [BandedCholesky, warped_cg, multigrid_cg, Pardiso])
@@ -156,6 +180,7 @@ def test_a_band_holds_every_entry_once() -> None:
         ("polar", {"mesh.cells": [6, 12, 6]}, ["warped"]),
         ("polar", {"method.model": "auto", "mesh.cells": [6, 12, 6]}, ["banded", "warped"]),
         ("polar", {"method.linear_solver": "cg"}, ["cg"]),
+        ("polar", {"method.linear_solver": "warped"}, ["warped"]),
     ],
 )
 def test_a_run_says_which_solver_it_used_and_why(cases_folder, variant: str, keys: dict, names: list[str]) -> None:
@@ -163,7 +188,8 @@ def test_a_run_says_which_solver_it_used_and_why(cases_folder, variant: str, key
     told = linear_solvers(problem.body, problem.dt, problem.method)
     assert [one["name"] for one in told] == names
     for one in told:
-        assert one["reason"] == "the case names it" if names == ["cg"] else " MB, " in one["reason"]
+        named = {"cg": "the case names it", "warped": "the case names it; the factor at rest is banded"}
+        assert one["reason"] == named[names[0]] if "method.linear_solver" in keys else " MB, " in one["reason"]
 
 
 @pytest.mark.parametrize("factor", ["banded", "mkl", "multigrid"])

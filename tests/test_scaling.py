@@ -1,6 +1,8 @@
 """The cost of a step against the size of the mesh: every row has its numbers, and a point that fails is a row."""
 
 import json
+import subprocess
+import sys
 from importlib.metadata import version
 
 import numpy as np
@@ -30,6 +32,10 @@ def test_every_method_has_a_row_with_its_numbers(cases_folder, tmp_path, capsys)
     assert (tmp_path / "scaling.png").stat().st_size > 10_000
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) >= 1 + len(METHODS) and " x)" in lines[2]
+    ms, newton = ({row["method"]: row.get(name) for row in said["rows"]} for name in ("ms", "iterations"))
+    ratio = ms["converged"] / newton["converged"] / ms["one_solve"]
+    assert newton["one_solve"] == 1 <= newton["converged"]
+    assert lines[1 + len(METHODS)] == f"converged, 18 tets: an iteration costs {ratio:.1f} x one solve"
 
 
 def test_a_point_says_what_it_solved_with(cases_folder) -> None:
@@ -37,6 +43,19 @@ def test_a_point_says_what_it_solved_with(cases_folder) -> None:
     row = measured(point | {"method": "one_solve", "cells": [1, 3, 1]})
     assert row["linear_solver"] == ["banded"] and row["solves"] == 1 and row["linear_iterations"] == 0
     assert row["ns_per_tet"] == pytest.approx(1e6 * row["ms"] / 18)
+
+
+def test_the_peak_of_memory_is_the_point_s_own_and_not_of_plain_scipy(cases_folder, monkeypatch) -> None:
+    here = np.ones(60_000_000)  # what the process that starts it holds is not its own
+    code = "from pipeline.studies.cost import peak_megabytes as p; a = p(); b = b'1' * 10**8; print(a, p())"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    before, after = map(float, said.split())
+    assert before < here.nbytes / 1e6 and after - before == pytest.approx(100, rel=0.1)
+    asked: list[str] = []
+    monkeypatch.setattr(cost, "peak_megabytes", lambda: asked.append("peak"))
+    monkeypatch.setattr(cost, "_plain", lambda problem: asked.append("plain"))
+    measured(point(cases_folder, "one_solve") | {"baseline": True})
+    assert asked == ["peak", "plain"]
 
 
 def test_wrong_input_is_an_error_and_nothing_measured_too(cases_folder, tmp_path) -> None:

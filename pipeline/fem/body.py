@@ -135,12 +135,13 @@ class Body:
         out[:] = nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
         return out
 
-    def rehearse(self, *, turning: bool = False, tangents: bool = False) -> None:
+    def rehearse(self, *, solves: bool = True, turning: bool = False, tangents: bool = False) -> None:
         """Have kernels loaded, or compiled, before the steps that will ask for them.
 
-        Those of one solve; on demand those that judge rotations, and those of Newton's method.
+        Those of one solve, or of forces alone; on demand those that judge rotations, and those of Newton's method.
         """
-        self.momentum(np.zeros_like(self.mesh.points))
+        if solves:
+            self.momentum(np.zeros_like(self.mesh.points))
 
     def turn(self, x: Floats, R: Floats) -> float:
         """Write the law's frame of every cell into R (e, d, d); return the spurious volume of the most turned one."""

@@ -74,22 +74,24 @@ class CompiledBody(Body):
     def _pairs(self) -> np.ndarray:
         return self.assembly.pairs.astype(np.int32)
 
-    def rehearse(self, *, turning: bool = False, tangents: bool = False) -> None:
-        """Call the kernels of an implicit step on no cells: they are compiled, or loaded, here."""
-        super().rehearse()
+    def rehearse(self, *, solves: bool = True, turning: bool = False, tangents: bool = False) -> None:
+        """Call the kernels of a step on no cells: they are compiled, or loaded, here."""
+        super().rehearse(solves=solves)
         cells, G, V, mu, lam = self._cells
         X, none, nothing = _plain(self.mesh.points), (cells[:0], G[:0], V[:0], mu, lam), self._no_rotations
         self._kernels.energy(X, *none)
-        self._kernels.nodal_rotations(X, *none[:3], nothing)
-        f, pairs = np.empty_like(X), self._pairs[:0]
-        self._kernels.linearise(X, *none, pairs, 1.0, False, nothing, f, nothing)
+        f = np.empty_like(X)
+        if solves:
+            self._kernels.nodal_rotations(X, *none[:3], nothing)
+            self._kernels.linearise(X, *none, self._pairs[:0], 1.0, False, nothing, f, nothing)
         if turning:
             self._kernels.rotations(X, *none[:2], nothing)
             self._turning_kernels.bounds(X, *none[:2], mu, lam)
             self._turning_kernels.turning(X, *none[:2], mu, lam, nothing, nothing)
-        if tangents:
+        if tangents or not solves:
             self._kernels.force(X, *none, f)
-            self._tangent_kernels.add_turning(X, *none, pairs, 1.0, CREASE, False, nothing)
+        if tangents:
+            self._tangent_kernels.add_turning(X, *none, self._pairs[:0], 1.0, CREASE, False, nothing)
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, d)."""

@@ -88,13 +88,16 @@ class BlockJacobi:
     """The inverses of the diagonal blocks."""
 
     def __init__(self, pattern: BlockPattern) -> None:
-        from pipeline.stepping.kernels import invert_blocks
+        from pipeline.stepping.kernels import by_blocks, invert_blocks
 
         d = pattern.dimension
         self._invert = invert_blocks
         self._diagonal = pattern.diagonal
         self._inverse = np.zeros((pattern.nodes, d, d))
-        invert_blocks(np.eye(d)[None], self._diagonal[:0], self._inverse[:0])  # compiled, or loaded, here
+        # kernels are compiled, or loaded, here and not in a timed step
+        none = np.zeros((0, d))
+        invert_blocks(np.eye(d)[None], self._diagonal[:0], self._inverse[:0])
+        by_blocks(self._inverse[:0], none, none, none)
 
     def update(self, values: Floats, frames: Frames) -> Work:
         """Invert the diagonal blocks; raises SolveError where one is singular."""

@@ -37,7 +37,6 @@ class Auto:
         from pipeline.stepping.kernels import same
 
         self._same = same
-        same(body.mesh.points[:0], body.mesh.points[:0])  # compiled, or loaded, here
         self.body = body
         self.linear = linear
         self.passes = passes
@@ -46,6 +45,7 @@ class Auto:
         # the positions judged last, how far they had turned, and from I or not: what one step ends with, the next
         # begins with
         self._x = np.full_like(body.mesh.points, np.nan)
+        same(self._x[:0], self._x[:0])  # compiled, or loaded, here
         self._turned, self._from_rest = Turning(np.inf, np.inf), False
         self._moving = bool(body.supports.motions)
         # rotations used and rotations reached, in turn

@@ -25,6 +25,8 @@ class Guarded:
         """Watch steps of this rung and those above; the energy of others is bounded by construction."""
         self.body = body
         self.stepper = stepper
+        if body.supports.motions:  # their work asks for forces, whose kernel is compiled, or loaded, here
+            body.rehearse(solves=False)
         self._from_rung = from_rung
         self._least = natural_energy(body)
         self._room = np.empty_like(body.mesh.points)

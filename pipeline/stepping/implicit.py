@@ -129,6 +129,7 @@ class Prefactored:
         self._hK *= h
         self.system.A[:] = body.mass + h * self._hK
         self._setup: Work | None = self.system.take(body.mesh.points)
+        self.system.product(self._hK, np.zeros_like(self._u))  # its kernel is compiled, or loaded, here
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v of the one linear system; the linearisation at x_h is exact."""

@@ -2,7 +2,7 @@
 
 banded     Cholesky of the reverse Cuthill-McKee band; the fastest factor of small meshes
 superlu    sparse LU, symmetric mode with a minimum-degree order of A + A^T; a factor per matrix, any conditioning
-pardiso    sparse Cholesky of Intel MKL, where that is installed; the fastest direct solve of large meshes
+pardiso    sparse Cholesky of Intel MKL, the fastest direct solve of large meshes; superlu where MKL is not installed
 warped     conjugate gradients with the rest state's factor, turned along; one factor a run: for middle meshes
 multigrid  the same with a multigrid cycle in place of the factor: for large meshes
 cg         conjugate gradients with block Jacobi; no factor: for small steps, where few iterations suffice
@@ -19,7 +19,7 @@ from pipeline.memory import installed_bytes
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping.banded import band_of
 from pipeline.stepping.conjugate_gradients import Frames
-from pipeline.stepping.pardiso import library
+from pipeline.stepping.pardiso import Pardiso, library
 from pipeline.stepping.state import Work
 from pipeline.stepping.warped import factor_kind
 
@@ -83,6 +83,11 @@ class SuperLU:
         return Work(solves=1)
 
 
+def pardiso_or_lu(pattern: BlockPattern, rtol: float, rest: object) -> LinearSolver:
+    """Return MKL's direct solver, or SuperLU where MKL is not installed."""
+    return SuperLU(pattern, rtol, rest) if library() is None else Pardiso(pattern, rtol, rest)
+
+
 def choice(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[str, str]:
     """Return the name of the solver for a pattern whose matrix stays, or changes every step, and why.
 
@@ -95,13 +100,20 @@ def choice(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[
     if band <= most:
         return "banded", f"the matrix {kind}; its band takes {band:.3g} MB, at most {most:g}"
     why = f"the matrix {kind}; its band would take {band:.3g} MB, more than {most:g}"
-    if constant and mkl and factor_bytes(pattern, "pardiso") <= _MOST_OF_MEMORY * installed_bytes():
-        return "pardiso", f"{why}; MKL is installed"
-    if constant and not mkl and band <= _LU_BAND:
-        return "superlu", f"{why}; MKL is not installed"
     stiff = f"h omega_max is up to {stiffness:.3g}"
-    if not constant and band <= _WARPED_BAND:
-        return "warped", f"{why}; {stiff}; the factor at rest is {factor_kind(band)}"
+    if constant and mkl:
+        factor, memory = factor_bytes(pattern, "pardiso"), installed_bytes()
+        if factor <= _MOST_OF_MEMORY * memory:
+            return "pardiso", f"{why}; MKL is installed"
+        why += f"; MKL's factor would take {factor / 1e9:.3g} of the {memory / 1e9:.3g} GB of memory, more than half"
+    elif constant:
+        if band <= _LU_BAND:
+            return "superlu", f"{why}; MKL is not installed"
+        why += f", with superlu {_LU_BAND:g}; MKL is not installed"
+    else:
+        if band <= _WARPED_BAND:
+            return "warped", f"{why}; {stiff}; the factor at rest is {factor_kind(band)}"
+        why += f", with warped {_WARPED_BAND:g}"
     if stiffness <= _SOFT:
         return "cg", f"{why}; the step is short: {stiff}, at most {_SOFT:g}"
     return "multigrid", f"{why}; {stiff}"

@@ -33,6 +33,11 @@ class SymplecticEuler:
 
         self._kick = kick
         self._dt_over_mass = self.dt / self.body.lumped_mass
+        # kernels are compiled, or loaded, here and not in a timed step
+        self.body.rehearse(solves=False)
+        none = np.zeros_like(self.body.load[:0])
+        held = self.body.supports.nodes[:0]
+        kick(none, self.body.load[:0], self._dt_over_mass[:0], none, none, self.dt, held, none, none)
 
     def step(self, state: State) -> tuple[State, Work]:
         """Return the state dt later."""

@@ -7,6 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +39,10 @@ def measured(settings: dict[str, Any]) -> dict[str, Any]:
     problem = point_problem(settings)
     body, method = problem.body, settings["method"]
     stepper, setup, loading = _prepared(problem, settings)
-    ms, iterations, solves = _timed(stepper, problem)
+    ms, iterations, linear_iterations, solves = _timed(stepper, problem)
     cells = len(body.mesh.cells)
     solvers = linear_solvers(body, problem.dt, problem.method)
-    row = {
+    return {
         "method": method,
         "cells": settings.get("cells"),
         "tets": cells,
@@ -49,16 +50,17 @@ def measured(settings: dict[str, Any]) -> dict[str, Any]:
         "dt": problem.dt,
         "ms": ms,
         "ns_per_tet": 1e6 * ms / cells,
+        "iterations": iterations,
         "solves": solves,
-        "linear_iterations": iterations,
+        "linear_iterations": linear_iterations,
         "setup_s": setup,
         "loading_s": loading,
         "linear_solver": [one["name"] for one in solvers],
-        "bytes": _bytes(problem, method, solves, iterations, solvers),
+        "bytes": _bytes(problem, method, solves, linear_iterations, solvers),
+        "peak_MB": peak_megabytes(),  # before plain scipy, which takes more
         "baseline_ms": _plain(problem) if method == "one_solve" and settings["baseline"] else None,
         "baseline": "plain scipy: the better of SuperLU and Jacobi-CG" if method == "one_solve" else None,
     }
-    return row | {"peak_MB": peak_megabytes()}
 
 
 def _prepared(problem: Problem, settings: dict[str, Any]) -> tuple[Stepper, float, float | None]:
@@ -102,8 +104,8 @@ def median_ms(call: Callable[[], object]) -> float:
     return 1e3 * float(np.median(times))
 
 
-def _timed(stepper: Stepper, problem: Problem) -> tuple[float, float, float]:
-    """Return median milliseconds, linear iterations and solves of a step, the first left out."""
+def _timed(stepper: Stepper, problem: Problem) -> tuple[float, float, float, float]:
+    """Return median milliseconds, iterations, linear iterations and solves of a step, the first left out."""
     state, works = problem.start, list[Work]()
 
     def step() -> None:
@@ -112,8 +114,9 @@ def _timed(stepper: Stepper, problem: Problem) -> tuple[float, float, float]:
         works.append(work)
 
     ms = median_ms(step)
-    iterations, solves = ([getattr(work, name) for work in works[1:]] for name in ("linear_iterations", "solves"))
-    return ms, float(np.median(iterations)), float(np.median(solves))
+    names = ("iterations", "linear_iterations", "solves")
+    iterations, linear, solves = (float(np.median([getattr(work, name) for work in works[1:]])) for name in names)
+    return ms, iterations, linear, solves
 
 
 def _plain(problem: Problem) -> float:
@@ -156,6 +159,10 @@ def _bytes(problem: Problem, method: str, solves: float, iterations: float, solv
 
 def peak_megabytes() -> float | None:
     """Return the process' largest memory; None where the system does not tell."""
+    # first what Linux says of this program alone: its getrusage starts with the memory of the process that started it
+    with suppress(OSError, IndexError, ValueError):
+        found = [line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM:" in line]
+        return 1.024e-3 * int(found[0])
     try:
         import resource
     except ImportError:

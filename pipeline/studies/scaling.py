@@ -1,10 +1,10 @@
 """How the cost of a step grows with the mesh, method by method, beside plain scipy and the machine's bandwidth.
 
-bench.json has a row a point: case, method, cells, tets, nodes, dt [s], ms (median of a step), ns_per_tet, solves and
-linear_iterations of a step, setup_s, loading_s (of kernels, once a process; null: in setup_s), peak_MB (of a process of
-its own), linear_solver, bytes (what a step moves at least), bound_ms (those over the measured bandwidth), baseline_ms
-(one corotational solve by plain scipy), error. Rows of other programs (peers.py) have
-version, ours_ms and differs instead of what they do not tell.
+bench.json has a row a point: case, method, cells, tets, nodes, dt [s], ms (median of a step), ns_per_tet, iterations
+(Newton's, or frozen passes), solves and linear_iterations of a step, setup_s, loading_s (of kernels, once a process;
+null: in setup_s), peak_MB (of a process of its own, without plain scipy), linear_solver, bytes (what a step moves at
+least), bound_ms (those over the measured bandwidth), baseline_ms (one corotational solve by plain scipy), error. Rows
+of other programs (peers.py) have version, ours_ms and differs instead of what they do not tell.
 """
 
 import json
@@ -48,7 +48,7 @@ class Scaling:
     def lines(self) -> list[str]:
         """Return the table, a line a point."""
         head = "method         tets   ms a step   ns a tet   iterations   set-up s   peak MB   bound ms   plain scipy"
-        lines = [head, *(_line(row) for row in self.rows if row["method"] not in PEERS)]
+        lines = [head, *(_line(row) for row in self.rows if row["method"] not in PEERS), *_newton_lines(self.rows)]
         return lines + _peer_lines([row for row in self.rows if row["method"] in PEERS])
 
 
@@ -137,6 +137,17 @@ def _line(row: Row) -> str:
         f"{row['method']:<10} {row['tets']:8d} {row['ms']:11.3f} {row['ns_per_tet']:10.0f} "
         f"{row['linear_iterations']:12g} {row['setup_s']:10.3f} {peak} {row['bound_ms']:10.3f}   {plain}"
     )
+
+
+def _newton_lines(rows: Sequence[Row]) -> list[str]:
+    """Return what an iteration of the converged method costs beside the one solve of the same mesh."""
+    good = [row for row in rows if not row["error"] and row["method"] in ("one_solve", "converged")]
+    one = {(row["case"], row["tets"]): row["ms"] for row in good if row["method"] == "one_solve"}
+    return [
+        f"converged, {row['tets']} tets: an iteration costs {row['ms'] / row['iterations'] / one[at]:.1f} x one solve"
+        for row in good
+        if row["method"] == "converged" and row["iterations"] and (at := (row["case"], row["tets"])) in one
+    ]
 
 
 def _peer_lines(rows: Sequence[Row]) -> list[str]:
