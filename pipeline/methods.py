@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.case import MethodSpec
 from pipeline.fem.body import Body
+from pipeline.fem.compiled import make_body
 from pipeline.fem.laws import Corotational, Law, Linear, Tangent
 from pipeline.fem.loads import consistent_mass_pairs, lumped_mass_pairs
 from pipeline.fem.material import Material
@@ -97,7 +98,8 @@ def stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
     if auto:
         # the linear rung keeps its factor, so it has a solver of its own
-        linear = Body(body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs)
+        linear = make_body(body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs)
+        linear.rehearse()
         prefactored = Prefactored(linear, _linear_solver(body, h, method, constant=True), h)
         newton = Converged(body, solver, limits)
         return Auto(body, prefactored, FrozenPasses(body, solver, 1), newton, method.volume_tolerance)

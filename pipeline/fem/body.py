@@ -108,6 +108,18 @@ class Body:
         scalar_product(pattern.indptr, pattern.indices, pattern.order, self._nodal_mass, np.ascontiguousarray(v), out)
         return out
 
+    def product(self, values: Floats, w: Floats) -> Floats:
+        """Return the product (n, d) of a matrix of `pattern` with w (n, d); the next call overwrites it."""
+        first, second, place = self._rows
+        w.take(self.order, 0, first, "clip")
+        self.pattern.product(values, first, second)
+        return second.take(place, 0, first, "clip")
+
+    @cached_property
+    def _rows(self) -> tuple[Floats, Floats, Ints]:
+        """Return room for two vectors in the order of the matrix' rows, and the row of every node."""
+        return np.empty_like(self.mesh.points), np.empty_like(self.mesh.points), np.argsort(self.order)
+
     def rotations(self, x: Floats) -> Floats:
         """Return the law's frame of every cell (e, d, d) at positions x (n, d)."""
         return self.law.rotations(deformation_gradient(self.mesh, x))

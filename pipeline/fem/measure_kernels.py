@@ -1,12 +1,13 @@
 """Compiled: volumes and angles of tetrahedra, what signed_volumes, polar and angle say in many passes of numpy.
 
-Numba notices changes of this file, not of kernels.py, whose functions are compiled into these: `make clean` after one.
+Numba notices changes of this file, not of those whose functions are compiled into these: `make clean` after one.
 """
 
 import numpy as np
 from numba import njit
 
-from pipeline.fem.kernels import LANES, _gradients, _lanes, _polar
+from pipeline.fem.kernels import _gradients
+from pipeline.fem.rotation_kernels import LANES, _lanes, _polar
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

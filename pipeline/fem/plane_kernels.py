@@ -1,4 +1,4 @@
-r"""Compiled kernels for triangles under the corotational law with polar rotations, by the names that tetrahedra have.
+r"""Compiled kernels for triangles under the corotational law, by the names that tetrahedra have.
 
 In the plane everything is short enough to write out cell by cell. With F = [[a, b], [c, d]] the polar rotation is
 that of the vector (a + d, c - b). Arguments are those of kernels.py, turning_kernels.py and tangent_kernels.py.
@@ -6,6 +6,8 @@ that of the vector (a + d, c - b). Arguments are those of kernels.py, turning_ke
 
 import numpy as np
 from numba import njit
+
+from pipeline.fem.rotation_kernels import GRAM_SCHMIDT, POLAR
 
 _NULL = 1e-14  # as in rotation.py: below this part of F the vector is rounding, and the rotation the identity
 
@@ -35,6 +37,18 @@ def _polar(F):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def _rotation(rotation, F):
+    """Return cosine and sine of the rotation POLAR, GRAM_SCHMIDT or IDENTITY of F."""
+    if rotation == POLAR:
+        return _polar(F)
+    a, b, c, d = F
+    length = np.hypot(a, c)  # of the first column, which Gram-Schmidt's has along x
+    if rotation != GRAM_SCHMIDT or not length > _NULL**2 * max(abs(b), abs(d)):
+        return 1.0, 0.0
+    return a / length, c / length
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def _stress(F, R, mu, lam):
     """Return the four entries of P = R (2 mu e + lam tr(e) I), e = sym(R^T F) - I, and the energy density."""
     (a, b, c, d), (cosine, sine) = F, R
@@ -58,12 +72,12 @@ def _store(R, e, rotation):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def energy(x, cells, G, V, mu, lam):
-    """Return sum V W(F) with the polar rotations."""
+def energy(x, cells, G, V, mu, lam, rotation):
+    """Return sum V W(F)."""
     total = 0.0
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        total += V[e] * _stress(F, _polar(F), mu, lam)[4]
+        total += V[e] * _stress(F, _rotation(rotation, F), mu, lam)[4]
     return total
 
 
@@ -80,26 +94,26 @@ def _scatter_force(cell, G, volume, P, f):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def force(x, cells, G, V, mu, lam, f):
-    """Write f_a = -sum V P grad N_a into f (n, 2), with the polar rotations."""
+def force(x, cells, G, V, mu, lam, rotation, f):
+    """Write f_a = -sum V P grad N_a into f (n, 2)."""
     f[:] = 0.0
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        _scatter_force(cells[e], G[e], V[e], _stress(F, _polar(F), mu, lam), f)
+        _scatter_force(cells[e], G[e], V[e], _stress(F, _rotation(rotation, F), mu, lam), f)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def linearise(x, cells, G, V, mu, lam, pairs, scale, given, Rs, f, A):
+def linearise(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
     """Write forces into f (n, 2), add scale times the frozen stiffness to A (blocks, 2, 2).
 
     A cell gives V mu ((G_a . G_b) I + g_b g_a^T) + V lam g_a g_b^T, g = R G, to the block (a, b <= a). The rotations
-    are Rs (e, 2, 2) if given, else the polar ones of x.
+    are Rs (e, 2, 2) if given, else those of x.
     """
     f[:] = 0.0
     g = np.empty((3, 2))
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        R = _given(Rs, e) if given else _polar(F)
+        R = _given(Rs, e) if given else _rotation(rotation, F)
         _scatter_force(cells[e], G[e], V[e], _stress(F, R, mu, lam), f)
         _turned(G[e], R[0], R[1], g)
         vm, vl, k = scale * V[e] * mu, scale * V[e] * lam, 0
@@ -149,13 +163,13 @@ def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def rotations(x, cells, G, R):
-    """Write the polar rotation of every cell's F into R (e, 2, 2); return the least trace of them."""
+def rotations(x, cells, G, rotation, R):
+    """Write the rotation of every cell's F into R (e, 2, 2); return the least trace of them."""
     least = 2.0
     for e in range(len(cells)):
-        rotation = _polar(_gradient(x, cells, G, e))
-        _store(R, e, rotation)
-        least = min(least, 2.0 * rotation[0])
+        found = _rotation(rotation, _gradient(x, cells, G, e))
+        _store(R, e, found)
+        least = min(least, 2.0 * found[0])
     return least
 
 

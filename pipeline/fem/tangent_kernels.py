@@ -10,7 +10,8 @@ kernels.py, whose functions are compiled into these: `make clean` after one.
 import numpy as np
 from numba import njit
 
-from pipeline.fem.kernels import LANES, _gradients, _lanes, _polar, jacobi
+from pipeline.fem.kernels import _gradients
+from pipeline.fem.rotation_kernels import LANES, _lanes, _polar, jacobi
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

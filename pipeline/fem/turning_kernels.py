@@ -1,12 +1,13 @@
 """Compiled: how far rotations that a solve used are from those it reached; what `turning` in body.py says in numpy.
 
-Numba notices changes of this file, not of kernels.py, whose functions are compiled into these: `make clean` after one.
+Numba notices changes of this file, not of those whose functions are compiled into these: `make clean` after one.
 """
 
 import numpy as np
 from numba import njit
 
-from pipeline.fem.kernels import LANES, _gradients, _lanes, _load, _polar, _store, _stresses
+from pipeline.fem.kernels import _gradients, _stresses
+from pipeline.fem.rotation_kernels import LANES, _lanes, _load, _polar, _store
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

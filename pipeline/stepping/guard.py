@@ -29,7 +29,7 @@ class Guarded:
             body.rehearse(solves=False)
         self._from_rung = from_rung
         self._least = natural_energy(body)
-        self._room = np.empty_like(body.mesh.points)
+        self._room = np.empty((2, *body.mesh.points.shape))
         self._load_at_rest = float(np.vdot(body.load, body.mesh.points))
         # v . M v is largest with lumped masses: in a cell, where M = rho V (1 + delta) / ((d + 1) (d + 2)), that is so
         self._lumped = np.repeat(body.lumped_mass, body.mesh.dimension)
@@ -43,7 +43,7 @@ class Guarded:
         """Return the state dt later; raises SolveError where the energy has no source."""
         guard = state.memory["guard"] if "guard" in state.memory else np.array([self._energy(state), 0.0, 0.0])
         new, work = self.stepper.step(state)
-        supplied = supports_work(self.body, state, new, self.dt)
+        supplied = supports_work(self.body, state, new, self.dt, room=self._room)
         if work.rung >= self._from_rung or supplied or guard[2]:
             guard = self._judged(new, guard, supplied, watched=work.rung >= self._from_rung)
         return State(new.step, new.x, new.v, {**new.memory, "guard": guard}), work
@@ -70,10 +70,10 @@ class Guarded:
         return self._kinetic(state) > bound and self._inner(state) > _FACTOR * bound
 
     def _kinetic_bound(self, state: State) -> float:
-        return 0.5 * float(np.vdot(self._lumped, np.square(state.v, out=self._room)))
+        return 0.5 * float(np.vdot(self._lumped, np.square(state.v, out=self._room[0])))
 
     def _kinetic(self, state: State) -> float:
-        return 0.5 * float(np.vdot(state.v, self.body.momentum(state.v, self._room)))
+        return 0.5 * float(np.vdot(state.v, self.body.momentum(state.v, self._room[0])))
 
     def _inner(self, state: State) -> float:
         return self._kinetic(state) + self.body.energy(state.x)
@@ -91,14 +91,15 @@ def natural_energy(body: Body) -> float:
     return _NATURAL_STRAIN**2 * (m.lam + 2 * m.mu) * float(body.mesh.rest_volumes.sum())
 
 
-def supports_work(body: Body, old: State, new: State, dt: float) -> float:
-    """Return |reaction . motion| of the held nodes in a step [J]; nothing is computed where none moves."""
+def supports_work(body: Body, old: State, new: State, dt: float, *, room: Floats | None = None) -> float:
+    """Return |reaction . motion| of the held nodes in a step [J], in `room` (2, n, d); 0 at once where none moves."""
     if not body.supports.motions:
         return 0.0
     held = body.supports.nodes
     moved = new.x[held] - old.x[held]
     if not moved.any():
         return 0.0
-    inertia = body.momentum(new.v - old.v)[held] / dt
-    reaction = inertia - body.force(new.x)[held] - body.load[held]
+    gained, p = np.empty((2, *new.v.shape)) if room is None else room
+    inertia = body.momentum(np.subtract(new.v, old.v, out=gained), p)[held] / dt
+    reaction = inertia - body.force(new.x, out=p)[held] - body.load[held]
     return float(np.abs((reaction * moved).sum(axis=1)).sum())

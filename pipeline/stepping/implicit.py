@@ -68,8 +68,6 @@ class StageSystem:
         self.A = np.empty((body.pattern.blocks, d, d))
         self.f, self.b = np.empty_like(X), np.empty_like(X)
         self._free = np.empty((2, len(body.free), d))
-        self._rows = np.empty((2, *X.shape))
-        self._place = np.argsort(body.order)
 
     def linearise(self, x: Floats, h: float, R: Floats | None = None, kind: Tangent = "frozen") -> Work:
         """Take A and f_el at positions x (n, d) for the solves to come."""
@@ -101,19 +99,12 @@ class StageSystem:
         if held.any():
             w[body.free] = 0.0
             w[body.supports.nodes] = held
-            self.b -= self.product(self.A, w)
+            self.b -= body.product(self.A, w)
         self.b.take(body.free, 0, b, "clip")
         work = self.solver.solve(b, free)
         w[body.free] = free
         w[body.supports.nodes] = held
         return work
-
-    def product(self, values: Floats, w: Floats) -> Floats:
-        """Return the product (n, d) of a matrix of the body's pattern with w (n, d); the next call overwrites it."""
-        first, second = self._rows
-        w.take(self.body.order, 0, first, "clip")
-        self.body.pattern.product(values, first, second)
-        return second.take(self._place, 0, first, "clip")
 
 
 class Prefactored:
@@ -122,24 +113,19 @@ class Prefactored:
     def __init__(self, body: Body, solver: LinearSolver, h: float) -> None:
         self.body = body
         self.system = StageSystem(body, solver)
-        self._u, self._impulse = np.empty_like(body.mesh.points), h * body.load
         self._held = np.empty((len(body.supports.nodes), body.mesh.dimension))
-        # the solves to come ask for h K only
-        _, self._hK = body.linearise(body.mesh.points)
-        self._hK *= h
-        self.system.A[:] = body.mass + h * self._hK
-        self._setup: Work | None = self.system.take(body.mesh.points)
-        self.system.product(self._hK, np.zeros_like(self._u))  # its kernel is compiled, or loaded, here
+        self._setup: Work | None = self.system.linearise(body.mesh.points, h)
 
     def solve(self, stage: Stage) -> tuple[Floats, Work]:
         """Return v of the one linear system; the linearisation at x_h is exact."""
-        body, b = self.body, self.system.b
-        body.momentum(stage.v_h, b)
-        b += self._impulse
-        # f_el = -K (x_h - X): the same sum as body.force(x_h), without visiting a cell
-        b -= self.system.product(self._hK, np.subtract(stage.x_h, body.mesh.points, out=self._u))
+        body, system = self.body, self.system
+        b = body.momentum(stage.v_h, system.b)
+        f = body.force(stage.x_h, out=system.f)
+        f += body.load
+        f *= stage.h
+        b += f
         v = stage.v_h.copy()
-        work = self.system.solve(_held_velocity(stage, stage.x_h, body, self._held), v)
+        work = system.solve(_held_velocity(stage, stage.x_h, body, self._held), v)
         work.iterations += 1
         if self._setup is not None:
             work, self._setup = work + self._setup, None
