@@ -101,7 +101,11 @@ def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypa
     with monkeypatch.context() as small_machine:
         small_machine.setattr(linear_solve, "installed_bytes", lambda: 1e6)
         assert chosen(large, constant=True) == "multigrid"
-        assert " of the 0.001 GB of memory, more than half; " in reasons[-1]
+        assert " GB, more than half of the memory, 0.0005; " in reasons[-1]
+    with monkeypatch.context() as few_steps:
+        few_steps.setattr(linear_solve, "_PAID_FACTOR", 1e5)
+        assert chosen(large, constant=True) == "multigrid"
+        assert " GB, more than 0.0001; " in reasons[-1]
     monkeypatch.setattr(linear_solve, "library", lambda: None)
     monkeypatch.setattr(linear_solve, "_CONSTANT_BAND_WITHOUT_MKL", 1.0)
     assert chosen(large, constant=True) == "superlu"

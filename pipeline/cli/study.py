@@ -165,8 +165,8 @@ def _scaling_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cells", metavar="NXxNYxNZ", nargs="+", default=[],
                         help="boxes to try, such as 2x8x2 8x26x8; without them the case's own mesh")  # fmt: skip
     parser.add_argument("--method", dest="methods", metavar="NAME", action="append", default=[],
-                        help="only this; may be repeated: linear, one_solve, auto, converged, explicit; felupe, "
-                             "mujoco where they are installed")  # fmt: skip
+                        help="only this; may be repeated: linear, one_solve, gram_schmidt, auto, converged, explicit; "
+                             "felupe, mujoco where they are installed")  # fmt: skip
     parser.add_argument("--rtol", type=float, default=1e-6, metavar="R",
                         help="relative residual of the linear systems (1e-6)")  # fmt: skip
     parser.add_argument("--no-baseline", action="store_true", help="without plain scipy, which takes most of the time")

@@ -37,6 +37,9 @@ _FACTOR_BYTES = 63.0
 # what a cycle reads of a million tetrahedra, over the lower blocks in single precision
 _CYCLE_BYTES = 2.5
 _MOST_OF_MEMORY = 0.5
+# [bytes] of MKL's: set-up and ms a step were 28 s and 351 at 2.2e9, with multigrid 5 and 598: paid after 90 steps; at
+# 5.4e9 100 and 897, with multigrid 10 and 1198: after 300
+_PAID_FACTOR = 4e9
 # of h omega_max: at 8.4 and 100k tetrahedra 28 iterations without a cycle took 90 ms, 6 with one 87
 _SOFT = 8.0
 
@@ -102,10 +105,11 @@ def choice(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[
     why = f"the matrix {kind}; its band would take {band:.3g} MB, more than {most:g}"
     stiff = f"h omega_max is up to {stiffness:.3g}"
     if constant and mkl:
-        factor, memory = factor_bytes(pattern, "pardiso"), installed_bytes()
-        if factor <= _MOST_OF_MEMORY * memory:
+        factor, half = factor_bytes(pattern, "pardiso"), _MOST_OF_MEMORY * installed_bytes()
+        if factor <= min(half, _PAID_FACTOR):
             return "pardiso", f"{why}; MKL is installed"
-        why += f"; MKL's factor would take {factor / 1e9:.3g} of the {memory / 1e9:.3g} GB of memory, more than half"
+        limit = f"half of the memory, {half / 1e9:.3g}" if half < _PAID_FACTOR else f"{_PAID_FACTOR / 1e9:.3g}"
+        why += f"; MKL's factor would take {factor / 1e9:.3g} GB, more than {limit}"
     elif constant:
         if band <= _LU_BAND:
             return "superlu", f"{why}; MKL is not installed"

@@ -24,7 +24,8 @@ from pipeline.studies.plain_scipy import PlainStep
 # what a case of any kind is turned into; the explicit step is half its limit
 METHODS: dict[str, dict[str, Any]] = {
     "linear": {"method.law": "linear"},
-    "one_solve": {"method.law": "corotational", "method.iterations": 1},
+    "one_solve": {"method.law": "corotational", "method.rotation": "polar", "method.iterations": 1},
+    "gram_schmidt": {"method.law": "corotational", "method.rotation": "gram_schmidt", "method.iterations": 1},
     "auto": {"method.model": "auto"},
     "converged": {"method.law": "corotational", "method.iterations": "converged"},
     "explicit": {"method.stepper": "symplectic_euler", "method.mass": "lumped"},
@@ -39,7 +40,7 @@ def measured(settings: dict[str, Any]) -> dict[str, Any]:
     problem = point_problem(settings)
     body, method = problem.body, settings["method"]
     stepper, setup, loading = _prepared(problem, settings)
-    ms, iterations, linear_iterations, solves = _timed(stepper, problem)
+    ms, work = _timed(stepper, problem)
     cells = len(body.mesh.cells)
     solvers = linear_solvers(body, problem.dt, problem.method)
     return {
@@ -50,13 +51,13 @@ def measured(settings: dict[str, Any]) -> dict[str, Any]:
         "dt": problem.dt,
         "ms": ms,
         "ns_per_tet": 1e6 * ms / cells,
-        "iterations": iterations,
-        "solves": solves,
-        "linear_iterations": linear_iterations,
+        "iterations": work["iterations"],
+        "solves": work["solves"],
+        "linear_iterations": work["linear_iterations"],
         "setup_s": setup,
         "loading_s": loading,
         "linear_solver": [one["name"] for one in solvers],
-        "bytes": _bytes(problem, method, solves, linear_iterations, solvers),
+        "bytes": _bytes(problem, method, work, solvers),
         "peak_MB": peak_megabytes(),  # before plain scipy, which takes more
         "baseline_ms": _plain(problem) if method == "one_solve" and settings["baseline"] else None,
         "baseline": "plain scipy: the better of SuperLU and Jacobi-CG" if method == "one_solve" else None,
@@ -104,8 +105,8 @@ def median_ms(call: Callable[[], object]) -> float:
     return 1e3 * float(np.median(times))
 
 
-def _timed(stepper: Stepper, problem: Problem) -> tuple[float, float, float, float]:
-    """Return median milliseconds, iterations, linear iterations and solves of a step, the first left out."""
+def _timed(stepper: Stepper, problem: Problem) -> tuple[float, dict[str, float]]:
+    """Return the median milliseconds of a step and the medians of its work, the first left out."""
     state, works = problem.start, list[Work]()
 
     def step() -> None:
@@ -114,9 +115,8 @@ def _timed(stepper: Stepper, problem: Problem) -> tuple[float, float, float, flo
         works.append(work)
 
     ms = median_ms(step)
-    names = ("iterations", "linear_iterations", "solves")
-    iterations, linear, solves = (float(np.median([getattr(work, name) for work in works[1:]])) for name in names)
-    return ms, iterations, linear, solves
+    names = ("iterations", "linear_iterations", "solves", "rung")
+    return ms, {name: float(np.median([getattr(work, name) for work in works[1:]])) for name in names}
 
 
 def _plain(problem: Problem) -> float:
@@ -137,11 +137,11 @@ def _moving(stepper: PlainStep, problem: Problem) -> Callable[[], None]:
     return step
 
 
-def _bytes(problem: Problem, method: str, solves: float, iterations: float, solvers: list[dict[str, str]]) -> float:
+def _bytes(problem: Problem, method: str, work: dict[str, float], solvers: list[dict[str, str]]) -> float:
     """Return what a step has to read and write at least, vectors left out: cells, matrix and factor.
 
     A cell is its corners, gradients, volume and blocks; the matrix is written once and read once an iteration; a factor
-    is read twice a solve, or an iteration.
+    is read twice a solve, or an iteration. A step that auto solves linearly visits every cell once to find that out.
     """
     body, pattern = problem.body, problem.body.free_pattern
     per_cell = body.mesh.shape_gradients[0, 1:].nbytes + 8 + 4 * body.mesh.cells.shape[1]
@@ -149,12 +149,14 @@ def _bytes(problem: Problem, method: str, solves: float, iterations: float, solv
     if method == "explicit":
         return float(cells * per_cell)
     matrix = 8.0 * pattern.blocks * pattern.dimension**2
-    factor = factor_bytes(pattern, solvers[-1]["name"])
-    if method == "linear":
-        return matrix + 2 * factor
+    linear = method == "linear" or (method == "auto" and work["rung"] == 0)
+    factor = factor_bytes(pattern, solvers[0 if linear else -1]["name"])
+    iterations, solves = work["linear_iterations"], max(work["solves"], 1)
+    solving = iterations * matrix + 2 * max(solves, iterations) * factor
+    if linear:
+        return solving + matrix + (cells * per_cell if method == "auto" else 0)
     blocks = 4 * body.assembly.pairs.shape[1]
-    linearised = cells * (per_cell + blocks) + 2 * matrix
-    return solves * linearised + iterations * matrix + 2 * max(solves, iterations) * factor
+    return solving + work["solves"] * (cells * (per_cell + blocks) + 2 * matrix)
 
 
 def peak_megabytes() -> float | None:

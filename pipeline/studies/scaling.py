@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _COLOURS = {
-    "linear": "#D55E00", "one_solve": "#0072B2", "auto": "#1b1e28", "converged": "#009E73", "explicit": "#CC79A7",
-    "felupe": "#a6761d", "mujoco": "#6a3d9a",
+    "linear": "#D55E00", "one_solve": "#0072B2", "gram_schmidt": "#56B4E9", "auto": "#1b1e28", "converged": "#009E73",
+    "explicit": "#CC79A7", "felupe": "#a6761d", "mujoco": "#6a3d9a",
 }  # fmt: skip
 Row = dict[str, Any]
 
