@@ -53,7 +53,7 @@ def test_the_peak_of_memory_is_the_point_s_own_and_not_of_plain_scipy(cases_fold
     assert before < here.nbytes / 1e6 and after - before == pytest.approx(100, rel=0.1)
     asked: list[str] = []
     monkeypatch.setattr(cost, "peak_megabytes", lambda: asked.append("peak"))
-    monkeypatch.setattr(cost, "_plain", lambda problem: asked.append("plain"))
+    monkeypatch.setattr(cost, "_beside_plain", lambda *_: (1.0, asked.append("plain")))
     measured(point(cases_folder, "one_solve") | {"baseline": True})
     assert asked == ["peak", "plain"]
 
