@@ -222,6 +222,11 @@ def test_the_front_is_what_no_other_beats():
     assert cheapest(rows, 0.1) is rows[1] and cheapest(rows, 0.02) is rows[4] and cheapest(rows, 0.01) is None
 
 
+def test_of_what_costs_the_same_but_for_the_clock_the_most_accurate_is_named():
+    rows = [row(1.0, 0.5), row(1.05, 0.1), row(1.08, 0.3), row(1.2, 0.0)]
+    assert cheapest(rows, 0.5) is rows[1] and cheapest(rows[2:], 0.5) is rows[2]
+
+
 def test_auto_is_set_against_the_cheapest_that_meets_its_tolerance():
     rows = [
         row(1, 0.0, model_volume=0.05),
