@@ -225,6 +225,8 @@ def test_the_front_is_what_no_other_beats():
 def test_of_what_costs_the_same_but_for_the_clock_the_most_accurate_is_named():
     rows = [row(1.0, 0.5), row(1.05, 0.1), row(1.08, 0.3), row(1.2, 0.0)]
     assert cheapest(rows, 0.5) is rows[1] and cheapest(rows[2:], 0.5) is rows[2]
+    by_axes = row(1.0, 0.05, model=("corotational", "gram_schmidt", "1"))
+    assert cheapest([by_axes, *rows], 0.5) is rows[1] and cheapest([by_axes], 0.5) is by_axes
 
 
 def test_auto_is_set_against_the_cheapest_that_meets_its_tolerance():

@@ -62,12 +62,13 @@ def front(rows: Iterable[Row], reference: str = "motion") -> list[Row]:
 def cheapest(rows: Iterable[Row], tolerance: float, reference: str = "motion") -> Row | None:
     """Return the row of least solver seconds whose error is at most the tolerance; None where there is none.
 
-    Of those within a tenth of that cost it is the most accurate: no timing tells them apart.
+    Of those within a tenth of that cost, which no timing tells apart, it is the most accurate; Gram-Schmidt, which
+    depends on the axes and has no potential, comes last.
     """
     enough = [row for row in rows if row.error(reference) <= tolerance]
     least = min((row.costs["seconds"] for row in enough), default=0.0)
     tied = [row for row in enough if row.costs["seconds"] <= _TIED * least]
-    return min(tied, key=lambda row: row.error(reference), default=None)
+    return min(tied, key=lambda row: (row.setting.rotation == "gram_schmidt", row.error(reference)), default=None)
 
 
 def choosable(table: Table, refinement: int | None = 1) -> list[Row]:
