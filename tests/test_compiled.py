@@ -152,6 +152,19 @@ def test_the_linear_law_has_one_matrix_and_its_numbers_are_those_of_the_plain_bo
     np.testing.assert_array_equal(body.rotations(x), plain.rotations(x))
 
 
+def test_rotations_have_the_numbers_that_kernels_know_them_by() -> None:
+    from pipeline.fem.rotation_kernels import GRAM_SCHMIDT, IDENTITY, POLAR
+
+    mesh = box([1.0, 1.0, 1.0], [1, 1, 1])
+    laws = {
+        POLAR: Corotational(MATERIAL),
+        GRAM_SCHMIDT: Corotational(MATERIAL, gram_schmidt),
+        IDENTITY: Linear(MATERIAL),
+    }
+    for number, law in laws.items():
+        assert make_body(mesh, law, NOWHERE, mesh.points, consistent_mass_pairs)._rotation == number
+
+
 def test_a_law_without_a_kernel_runs_on_numpy() -> None:
     mesh = box([1.0, 1.0, 1.0], [1, 1, 1])
     law = Corotational(MATERIAL, lambda F: np.broadcast_to(np.eye(3), F.shape))
