@@ -316,15 +316,20 @@ def test_the_reference_is_better_than_what_it_judges(study):
     assert 0 < own["mesh"] == pytest.approx(parts["mesh"] / 3)
 
 
+def seconds_of(row) -> float:
+    return row["costs"]["seconds"]
+
+
 @pytest.mark.slow
 def test_the_sentence_names_a_setting_that_is_enough(study):
     plan, found = study
     choice = found.summary["choice"]
     assert choice["error"] <= plan.tolerance and choice["text"] in found.sentence
     assert found.sentence.startswith("beam: for 2 % use ") and "0.2 %" in found.sentence
-    assert choice["costs"]["seconds"] == min(
-        one["costs"]["seconds"] for one in found.summary["front"] if one["error"] <= plan.tolerance
-    )
+    # the front holds the cheapest that is enough; the choice may cost a tenth more where it is more accurate
+    least = min((one for one in found.summary["front"] if one["error"] <= plan.tolerance), key=seconds_of)
+    assert seconds_of(least) <= seconds_of(choice) <= 1.1 * seconds_of(least)
+    assert choice["error"] <= least["error"] or least["setting"]["rotation"] == "gram_schmidt"
 
 
 @pytest.mark.slow
