@@ -112,6 +112,42 @@ def test_ghost_cells_pieces_and_doctypes_are_left_to_vtk(tmp_path):
     assert inline_file(tmp_path / "f.vtu") is not None
 
 
+def long_text(text):
+    """Where the numbers of the array stress begin, long enough to be kept from the XML parser."""
+    return text.index(">", text.index('Name="stress"')) + 1
+
+
+def test_numbers_are_found_whatever_xml_stands_about_them(tmp_path, monkeypatch):
+    text = saved(rich(), tmp_path / "f.vtu", compressor="none").read_text()
+    at = long_text(text)
+    first = at + len(text[at:]) - len(text[at:].lstrip())
+    ways = {
+        "comment": text[:at] + '<!-- <a b="c"> -->' + text[at:],
+        "references": f"{text[:first]}&#{ord(text[first])};{text[first + 1 :]}",
+        "end within": text.replace('Name="stress"', """one='a>"b' other="'>" Name="stress" """),
+        "apostrophes": text.replace('Name="stress"', "Name = 'stress'"),
+    }
+    for name, changed in ways.items():  # VTK itself stumbles on some of these
+        assert changed != text
+        (tmp_path / f"{name}.vtu").write_text(changed)
+        found = inline_file(tmp_path / f"{name}.vtu").sections[1]["stress"]
+        np.testing.assert_array_equal(found, rich().cell_data["stress"])
+    parsed = []
+    plain = inline.ElementTree.fromstring
+    monkeypatch.setattr(inline.ElementTree, "fromstring", lambda content: parsed.append(content) or plain(content))
+    (tmp_path / "f.vtu").write_text(text)
+    assert_same(tmp_path / "f.vtu")
+    assert text[first : first + 300].encode() not in parsed[0]
+
+
+def test_a_number_of_a_text_that_was_not_taken_out_is_left_to_vtk(tmp_path):
+    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    at = long_text(text)
+    for k in ("@999", "@-1", "@x", "@"):
+        (tmp_path / "f.vtu").write_text(text[:at] + k + text[text.index("<", at) :])
+        assert inline_file(tmp_path / "f.vtu") is None, k
+
+
 @pytest.mark.parametrize("name", ["types", "connectivity", "Points"])
 def test_arrays_of_no_components_are_left_to_vtk(tmp_path, name):
     text = saved(rich(), tmp_path / "f.vtu").read_text()

@@ -7,6 +7,7 @@ but Python and numpy handles the bytes: a damaged file cannot take the process a
 """
 
 import os
+import re
 import struct
 import zlib
 from binascii import a2b_base64
@@ -37,7 +38,9 @@ _HEAD, _ELSEWHERE = 4096, (b'format="appended"', b'format="ascii"')  # not worth
 # decoded whole, what takes more than this and more than so many times its file is for the guarded child process
 _LEAST_BYTES, _BYTES_PER_BYTE = 2 * 10**9, 40
 # parsing takes up to four times the file; marks are what elements and attributes are made of, some 100 bytes each
-_LARGEST, _MARKS, _MOST_MARKS = _LEAST_BYTES // 4, (b"<", b'"', b"'"), 10**6
+_LARGEST, _MOST_MARKS = _LEAST_BYTES // 4, 10**6
+_LONG = 200  # characters of a text that is worth keeping from the parser
+_TAG = re.compile(rb"""/?[\w:.-]+(?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))*\s*/?""")
 _CORNERS = {1: 1, 3: 2, 5: 3, 9: 4, 10: 4, 12: 8, 13: 6, 14: 5, 21: 3, 22: 6, 23: 8, 24: 10, 25: 20}  # of VTK's kinds
 
 
@@ -48,7 +51,7 @@ class Packed(NamedTuple):
     shape: tuple[int, ...]
     sizes: tuple[int, ...]  # bytes of each block when decoded
     packed: tuple[int, ...]  # bytes of each block in the file; none where nothing is compressed
-    text: str
+    text: bytes
 
     @property
     def nbytes(self) -> int:
@@ -143,11 +146,10 @@ def _read(file: Path) -> Inline:
             raise _NotInlineError
         opened.seek(0)
         content = opened.read(size)
-    if sum(map(content.count, _MARKS)) > _MOST_MARKS:
+    if claims.wide(content):
         raise _NotInlineError
-    if claims.wide(content) or b"<!DOCTYPE" in content:  # entities are for claims.py to refuse
-        raise _NotInlineError
-    root = ElementTree.fromstring(content)
+    bare, texts = _without_texts(content)
+    root = ElementTree.fromstring(bare)
     (grid,) = root
     pieces = grid.findall("Piece")
     if root.tag != "VTKFile" or grid.tag != "UnstructuredGrid" or len(pieces) != 1:
@@ -155,7 +157,7 @@ def _read(file: Path) -> Inline:
     (piece,) = pieces
     way = _Way(
         _ORDERS[root.attrib["byte_order"]], _HEADERS[root.get("header_type", "UInt32")],
-        _COMPRESSORS[root.get("compressor")],
+        _COMPRESSORS[root.get("compressor")], texts,
     )  # fmt: skip
     counts = {name: int(piece.attrib[name]) for name in _SECTIONS.values()}
     whole = {a.attrib["Name"]: _packed(a, int(a.attrib["NumberOfTuples"]), way) for a in _children(grid, "FieldData")}
@@ -167,7 +169,7 @@ def _read(file: Path) -> Inline:
     points = _packed(located, counts["NumberOfPoints"], way)
     found = {array.attrib["Name"]: _packed(array, None, way) for array in _children(piece, "Cells")}
     total = points.nbytes + sum(one.nbytes for a in (of_points, of_cells, whole, found) for one in a.values())
-    if total > max(_LEAST_BYTES, _BYTES_PER_BYTE * len(content)) or points.shape[1:] != (3,):
+    if total > max(_LEAST_BYTES, _BYTES_PER_BYTE * size) or points.shape[1:] != (3,):
         raise _NotInlineError
     if found.keys() != {"connectivity", "offsets", "types"} or "vtkGhostType" in of_cells:
         raise _NotInlineError
@@ -176,6 +178,26 @@ def _read(file: Path) -> Inline:
     except SeriesError as error:
         raise _NotInlineError from error
     return Inline(points, cells, (Arrays(file, of_points), Arrays(file, of_cells), Arrays(file, whole)))
+
+
+def _without_texts(content: bytes) -> tuple[bytes, list[bytes]]:
+    """Return the XML with @k in the place of the k-th text that is long enough to hold numbers, and these texts.
+
+    A parser looks at every character of them, which is most of the time that a file takes. Base64 has no @.
+    """
+    parts, texts = content.split(b"<", _MOST_MARKS), list[bytes]()
+    declared = [part for part in parts if part.startswith(b"!")]
+    if len(parts) > _MOST_MARKS or any(part.startswith(b"!DOCTYPE") for part in declared):
+        raise _NotInlineError  # entities are for claims.py to refuse
+    for i, part in enumerate([] if declared else parts):  # comments may hold what looks like an element
+        tag, end, text = part.partition(b">")
+        if len(text) > _LONG and b"&" not in text and _TAG.fullmatch(tag):
+            parts[i] = b"%s%s@%d" % (tag, end, len(texts))
+            texts.append(text.strip())
+    bare = b"<".join(parts)
+    if bare.count(b'"') + bare.count(b"'") > _MOST_MARKS:
+        raise _NotInlineError
+    return bare, texts
 
 
 def _children(element: ElementTree.Element, tag: str) -> list[ElementTree.Element]:
@@ -193,6 +215,7 @@ class _Way(NamedTuple):
     order: str
     header: str
     compressed: bool
+    texts: list[bytes]  # what _without_texts took out
 
 
 def _packed(array: ElementTree.Element, tuples: int | None, way: _Way) -> Packed:
@@ -202,7 +225,10 @@ def _packed(array: ElementTree.Element, tuples: int | None, way: _Way) -> Packed
         raise _NotInlineError
     if any(child.tag != "InformationKey" for child in array):  # ranges that VTK adds behind the numbers
         raise _NotInlineError
-    sizes, packed, numbers = _blocks((array.text or "").strip(), way)
+    numbers = (array.text or "").strip().encode()
+    if numbers.startswith(b"@"):
+        numbers = way.texts[int(numbers[1:])]
+    sizes, packed, numbers = _blocks(numbers, way)
     if text and tuples:
         return Packed("S", (tuples,), sizes, packed, numbers)
     dtype = way.order + TYPES[array.attrib["type"]]
@@ -217,13 +243,13 @@ def _packed(array: ElementTree.Element, tuples: int | None, way: _Way) -> Packed
     return Packed(dtype, (tuples,) if components == 1 else (tuples, components), sizes, packed, numbers)
 
 
-def _blocks(text: str, way: _Way) -> tuple[tuple[int, ...], tuple[int, ...], str]:
+def _blocks(text: bytes, way: _Way) -> tuple[tuple[int, ...], tuple[int, ...], bytes]:
     """Return the bytes of each block decoded and packed, and the text of the blocks."""
     word = _WORDS[way.header]
     if not way.compressed:
         (size,) = _words(text, 1, way)
         apart = _characters(word)  # some programs encode the length apart, others in one go with the numbers
-        alone = text[:apart].endswith("=")
+        alone = text[:apart].endswith(b"=")
         expected = apart + _characters(size) if alone else _characters(word + size)
         if len(text) != expected:
             raise _NotInlineError
@@ -243,7 +269,7 @@ def _characters(size: int) -> int:
     return -(-size // 3) * 4
 
 
-def _words(text: str, count: int, way: _Way) -> tuple[int, ...]:
+def _words(text: bytes, count: int, way: _Way) -> tuple[int, ...]:
     """Return the first numbers of a header."""
     header = struct.Struct(f"{way.order}{count}{way.header}")
     return header.unpack_from(a2b_base64(text[: _characters(header.size)], strict_mode=True))

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.frame import Frame
 from pipeline.measures import AXES, QUANTILES, STEPS, VARIABLES
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.simplex import Floats, Mesh
 from pipeline.series.frame_files import Grid, read_grid
 from pipeline.series.layout import Layout, Options, understood
 from pipeline.series.listing import listing
@@ -53,8 +53,7 @@ class Series:
     def frame(self, index: int, grid: Grid | None = None) -> Frame:
         """Return one frame, read from its file now; raises SeriesError where the file is not one of this series."""
         grid = self.grid(index) if grid is None else grid
-        where = f"{self.files[index]}, t = {self.times[index]:g} s"
-        x = self.layout.positions(grid, where)
+        x = self.positions(index, grid)
         stepwise = [name for name in STEPS if name in grid.field_data] if self.ours else []
         known = {name: np.asarray(grid.field_data[name], dtype=np.float64).ravel() for name in stepwise}
         for name in grid.field_data.keys() & VARIABLES.keys():
@@ -65,6 +64,11 @@ class Series:
                 known[name] = value.reshape([-1] if dims else [])
         step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
         return Frame(index, self.times[index], self.mesh, x, step=step, v=self._velocity(grid), known=known)
+
+    def positions(self, index: int, grid: Grid | None = None) -> Floats:
+        """Return the positions (n, d) of one frame alone, read from its file now; raises SeriesError as `frame`."""
+        where = f"{self.files[index]}, t = {self.times[index]:g} s"
+        return self.layout.positions(self.grid(index) if grid is None else grid, where)
 
     def _velocity(self, grid: Grid) -> np.ndarray | None:
         v, d = grid.point_data.get("velocity"), self.mesh.dimension

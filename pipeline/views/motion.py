@@ -71,10 +71,11 @@ def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda:
     total, low, high = (np.empty(count) for _ in range(3))
     inverted = np.empty(count, dtype=np.int64)
     sample = []
-    for i, frame in enumerate(series):
-        volumes = signed_volumes(frame.x, mesh.cells)
+    for i in range(count):
+        x = series.positions(i)
+        volumes = signed_volumes(x, mesh.cells)
         ratio = volumes / mesh.rest_volumes
-        points[i, :, : mesh.dimension] = frame.x[nodes]
+        points[i, :, : mesh.dimension] = x[nodes]
         shown[i] = ratio[owner]
         total[i], low[i], high[i] = volumes.sum() / rest_total, ratio.min(), ratio.max()
         inverted[i] = (ratio <= 0).sum()
