@@ -150,7 +150,7 @@ def test_the_residual_is_below_the_tolerance_and_no_iteration_is_made_beyond_it(
     body, state = thrown(d)
     asked = stage(body, state)
     solver = newton(body, tangent="exact", tolerance=tolerance)
-    v, work = solver.solve(asked)
+    _, v, work = solver.solve(asked)
     r = body.load + body.force(state.x + DT * v) - body.momentum(v - state.v) / DT
     sizes = (body.momentum(state.v) / DT, body.load, body.force(state.x + DT * v))
     assert np.linalg.norm(r[body.free]) <= tolerance * sum(np.linalg.norm(s) for s in sizes)

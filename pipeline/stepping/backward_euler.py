@@ -7,8 +7,6 @@ and lags by atan z a step. Not for motions whose oscillation matters: 1 % of dam
 from dataclasses import dataclass
 from math import atan, hypot, log
 
-import numpy as np
-
 from pipeline.fem.body import Body
 from pipeline.stepping.implicit import Stage, StageSolver
 from pipeline.stepping.inversion import Treatment, tracked_rotations
@@ -28,10 +26,7 @@ class BackwardEuler:
         """Return the state dt later."""
         held = self.body.held_positions((state.step + 1) * self.dt)
         R, memory = tracked_rotations(self.treatment, self.body, state.x, state)
-        v, work = self.stage_solver.solve(Stage(state.x, state.v, self.dt, state.x, state.x, held, R))
-        x = np.multiply(v, self.dt)
-        x += state.x
-        x[self.body.supports.nodes] = held
+        x, v, work = self.stage_solver.solve(Stage(state.x, state.v, self.dt, state.x, state.x, held, R))
         work.steps += 1
         return State(state.step + 1, x, v, memory), work
 

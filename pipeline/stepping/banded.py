@@ -31,7 +31,8 @@ class Band:
         i, j = pattern.rows, pattern.indices
         ones = np.ones(2 * len(i))
         graph = csr_array((ones, (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n))
-        self.order = reverse_cuthill_mckee(graph, symmetric_mode=True)
+        # as numpy takes indices: 32 bit ones would be copied at every solve
+        self.order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.intp)
         self.place = place = np.argsort(self.order)
         axis = np.arange(d)
         row = d * place[i][:, None, None] + axis[:, None]

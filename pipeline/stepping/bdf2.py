@@ -46,10 +46,7 @@ class BDF2:
         extrapolated = _onward(x, x_before, 1.0, self._stage[2])
         held = self.body.held_positions((state.step + 1) * self.dt)
         R, remembered = tracked_rotations(self.treatment, self.body, extrapolated, state)
-        v_new, work = self.stage_solver.solve(Stage(x_h, v_h, h, extrapolated, x, held, R))
-        x_new = np.multiply(v_new, h)
-        x_new += x_h
-        x_new[self.body.supports.nodes] = held
+        x_new, v_new, work = self.stage_solver.solve(Stage(x_h, v_h, h, extrapolated, x, held, R))
         work.steps += 1
         return State(state.step + 1, x_new, v_new, {**remembered, **memory}), work
 

@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.fem.body import Body
 from pipeline.fem.turning import Turning
 from pipeline.mesh.simplex import Floats
-from pipeline.stepping.implicit import FrozenPasses, Prefactored, Stage
+from pipeline.stepping.implicit import FrozenPasses, Prefactored, Stage, reached
 from pipeline.stepping.newton import Converged
 from pipeline.stepping.state import Work
 
@@ -34,53 +34,49 @@ class Auto:
     def __init__(
         self, body: Body, linear: Prefactored, passes: FrozenPasses, newton: Converged, tolerance: float
     ) -> None:
-        from pipeline.stepping.kernels import same
-
-        self._same = same
         self.body = body
         self.linear = linear
         self.passes = passes
         self.newton = newton
         self.tolerance = tolerance
-        # the positions judged last, how far they had turned, and from I or not: what one step ends with, the next
-        # begins with
-        self._x = np.full_like(body.mesh.points, np.nan)
-        same(self._x[:0], self._x[:0])  # compiled, or loaded, here
+        # the positions judged last, how far they had turned, and from I or not: the array that one step ends with is
+        # the one that the next begins with
+        self._x: Floats | None = None
         self._turned, self._from_rest = Turning(np.inf, np.inf), False
-        self._moving = bool(body.supports.motions)
         # rotations used and rotations reached, in turn
         e, d = len(body.mesh.cells), body.mesh.dimension
         self._used, self._reached = np.empty((2, e, d, d))
 
-    def solve(self, stage: Stage) -> tuple[Floats, Work]:
-        """Return the accepted velocity; work says which rung and indicator; raises SolveError where Newton does."""
-        v, work = self._first(stage)
-        turned = self._judged(stage, v)
+    def solve(self, stage: Stage) -> tuple[Floats, Floats, Work]:
+        """Return the accepted x and v; work says which rung and indicator; raises SolveError where Newton does."""
+        x, v, work = self._first(stage)
+        turned = self._judged(x)
         for _ in range(_PASSES):
             if turned.indicator <= self.tolerance:
                 break
             before = turned.indicator
-            work += self._pass(self._x, stage, v)
-            turned = self._judged(stage, v)
+            work += self._pass(x, stage, v)
+            turned = self._judged(reached(self.body, stage, v, out=x))
             if not turned.indicator <= max(self.tolerance, _SHRINKS * before):
                 break
         if turned.indicator <= self.tolerance:
             work.indicator = turned.indicator
-            return v, work
-        v, done = self.newton.solve(stage)
+            return x, v, work
+        x, v, done = self.newton.solve(stage)
         work += done
         work.rung = CONVERGED
-        return v, work
+        return x, v, work
 
-    def _first(self, stage: Stage) -> tuple[Floats, Work]:
-        """Return v of the first solve and its work."""
+    def _first(self, stage: Stage) -> tuple[Floats, Floats, Work]:
+        """Return x and v of the first solve and its work."""
         if self._is_near_rest(stage.now):
             self._from_rest = True
             return self.linear.solve(stage)
         if stage.start is not stage.now:
             self.body.turn(stage.start, self._reached)
         v = stage.v_h.copy()
-        return v, self._pass(stage.start, stage, v)
+        work = self._pass(stage.start, stage, v)
+        return reached(self.body, stage, v), v, work
 
     def _pass(self, x: Floats, stage: Stage, v: Floats) -> Work:
         """Improve v by a solve with the rotations reached at x (n, d), which are used from now on."""
@@ -90,22 +86,19 @@ class Auto:
         work.rung = COROTATIONAL
         return work
 
-    def _judged(self, stage: Stage, v: Floats) -> Turning:
-        """Return how far the stage's end has turned from the rotations used; a bound will do where it is low enough."""
-        np.multiply(v, stage.h, out=self._x)
-        self._x += stage.x_h
-        if self._moving:  # where they are to the last bit
-            self._x[self.body.supports.nodes] = stage.held
-        bound = self.body.turning_bound(self._x) if self._from_rest else np.inf
+    def _judged(self, x: Floats) -> Turning:
+        """Return how far cells at x have turned from the rotations used; a bound will do where it is low enough."""
+        self._x = x
+        bound = self.body.turning_bound(x) if self._from_rest else np.inf
         if bound <= self.tolerance:
             self._turned = Turning(bound, bound)
         else:
-            self._turned = self.body.turning(self._x, None if self._from_rest else self._used, self._reached)
+            self._turned = self.body.turning(x, None if self._from_rest else self._used, self._reached)
         return self._turned
 
     def _is_near_rest(self, x: Floats) -> bool:
         """Return whether cells at x are so little turned that the linear law will do; if not, find their rotations."""
-        if self._same(x, self._x):
+        if x is self._x:
             if self._from_rest:
                 return self._turned.indicator <= self.tolerance
             if self._turned.from_rest > self.tolerance:

@@ -47,9 +47,17 @@ class Stage:
 class StageSolver(Protocol):
     """Solves stages of one body and one h."""
 
-    def solve(self, stage: Stage) -> tuple[Floats, Work]:
-        """Return the velocity v (n, d) and the work it took; raises SolveError."""
+    def solve(self, stage: Stage) -> tuple[Floats, Floats, Work]:
+        """Return x and v (n, d), arrays of the caller's own, and the work it took; raises SolveError."""
         ...
+
+
+def reached(body: Body, stage: Stage, v: Floats, out: Floats | None = None) -> Floats:
+    """Return x = x_h + h v (n, d), in `out` where that is given; held nodes are where they are held to the last bit."""
+    x = np.multiply(v, stage.h, out=out)
+    x += stage.x_h
+    x[body.supports.nodes] = stage.held
+    return x
 
 
 class StageSystem:
@@ -116,8 +124,8 @@ class Prefactored:
         self._held = np.empty((len(body.supports.nodes), body.mesh.dimension))
         self._setup: Work | None = self.system.linearise(body.mesh.points, h)
 
-    def solve(self, stage: Stage) -> tuple[Floats, Work]:
-        """Return v of the one linear system; the linearisation at x_h is exact."""
+    def solve(self, stage: Stage) -> tuple[Floats, Floats, Work]:
+        """Return x and v of the one linear system; the linearisation at x_h is exact."""
         body, system = self.body, self.system
         b = body.momentum(stage.v_h, system.b)
         f = body.force(stage.x_h, out=system.f)
@@ -129,7 +137,7 @@ class Prefactored:
         work.iterations += 1
         if self._setup is not None:
             work, self._setup = work + self._setup, None
-        return v, work
+        return reached(body, stage, v), v, work
 
 
 class FrozenPasses:
@@ -142,15 +150,15 @@ class FrozenPasses:
         self._x, self._reached, self._away = np.empty((3, *body.mesh.points.shape))
         self._held = np.empty((len(body.supports.nodes), body.mesh.dimension))
 
-    def solve(self, stage: Stage) -> tuple[Floats, Work]:
-        """Return v after the last pass."""
+    def solve(self, stage: Stage) -> tuple[Floats, Floats, Work]:
+        """Return x and v after the last pass."""
         v = stage.v_h.copy()
         work = self.pass_from(stage.start, stage, v, stage.R)
         for _ in range(self.passes - 1):
             np.multiply(v, stage.h, out=self._x)
             self._x += stage.x_h
             work += self.pass_from(self._x, stage, v)
-        return v, work
+        return reached(self.body, stage, v), v, work
 
     def pass_from(self, x: Floats, stage: Stage, v: Floats, R: Floats | None = None) -> Work:
         """Write into v, which enters as the guess, the solution linearised at x (n, d), by its rotations or by R."""

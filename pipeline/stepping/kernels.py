@@ -26,16 +26,6 @@ def kick(f, load, dt_over_mass, x, v, dt, held, where, x_new):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def same(a, b):
-    """Return whether a and b are equal; as a rule the first numbers tell."""
-    for i in range(len(a)):
-        for k in range(a.shape[1]):
-            if a[i, k] != b[i, k]:
-                return False
-    return True
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
 def dot(a, b):
     """Return a . b."""
     total = 0.0

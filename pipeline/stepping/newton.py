@@ -23,7 +23,7 @@ from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Tangent
 from pipeline.mesh.simplex import Floats
-from pipeline.stepping.implicit import Stage, StageSystem
+from pipeline.stepping.implicit import Stage, StageSystem, reached
 from pipeline.stepping.linear_solve import LinearSolver
 from pipeline.stepping.state import Work
 
@@ -81,24 +81,24 @@ class Converged:
         self._stage: Stage | None = None
         self._given = 0.0  # the size of the forces that a stage brings
 
-    def solve(self, stage: Stage) -> tuple[Floats, Work]:
-        """Return v at the minimum of phi; raises SolveError with the residual where the limit is reached."""
+    def solve(self, stage: Stage) -> tuple[Floats, Floats, Work]:
+        """Return x and v at the minimum of phi; raises SolveError with the residual where the limit is reached."""
         self._take(stage)
         first = self.descend(self._y, stage, min(_PREDICTOR_ITERATIONS, self.limits.iterations))
         if first.converged:
             safe = self._hold(stage.start, stage, self._trial)
             if first.phi <= sum(self._terms(safe, stage)) + abs(first.phi) * 1e-12:
-                return self._velocity(first.x, stage), first.work
+                return *self._found(first.x, stage), first.work
         found = self.descend(stage.start, stage, self.limits.iterations)
         work = first.work + found.work
         if not found.converged:
             raise self._failure(found)
-        return self._velocity(found.x, stage), work
+        return *self._found(found.x, stage), work
 
-    def _velocity(self, x: Floats, stage: Stage) -> Floats:
+    def _found(self, x: Floats, stage: Stage) -> tuple[Floats, Floats]:
         v = np.subtract(x, stage.x_h)
         v /= stage.h
-        return v
+        return reached(self.body, stage, v), v
 
     def _take(self, stage: Stage) -> None:
         """Find y, and the size of the forces that do not change in the stage."""
