@@ -20,7 +20,7 @@ from pipeline.run import record
 from pipeline.series import Series, read_series
 from pipeline.series.apart import Apart, write_apart
 from pipeline.sinks.atomic import whole_file
-from pipeline.sinks.netcdf import NetcdfSink
+from pipeline.sinks.netcdf import ALONE, NetcdfSink
 
 if TYPE_CHECKING:
     import xarray
@@ -294,7 +294,7 @@ def _figure(path: Path, picture: Path, methods: list[str], title: str, notes: li
 
     from pipeline.views.plots import volume_figure
 
-    with xarray.open_dataset(path, engine="netcdf4") as dataset:
+    with ALONE, xarray.open_dataset(path, engine="netcdf4") as dataset:
         kept = _drawn(dataset)
         if len(kept) < dataset.sizes["time"]:
             notes.append(f"{picture.name} shows {len(kept)} of {dataset.sizes['time']} frames, the worst among them")
@@ -311,7 +311,7 @@ def _distances(path: Path, picture: Path, title: str) -> Path:
 
     from pipeline.views.plots import distance_figure
 
-    with xarray.open_dataset(path, engine="netcdf4") as dataset:
+    with ALONE, xarray.open_dataset(path, engine="netcdf4") as dataset:
         distance_figure(dataset[["node_distance_worst", "node_distance_rms"]], picture, title=title)
     return picture
 

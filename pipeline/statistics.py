@@ -10,6 +10,7 @@ from pipeline.errors import SeriesError
 from pipeline.measures import AXES, QUANTILES, VARIABLES, attributes, measure
 from pipeline.series import Series
 from pipeline.sinks.atomic import whole_file
+from pipeline.sinks.netcdf import ALONE
 
 if TYPE_CHECKING:
     import xarray
@@ -43,7 +44,7 @@ def read_statistics(path: Path) -> "xarray.Dataset":
     import xarray
 
     try:
-        with xarray.open_dataset(path, engine="netcdf4") as dataset:
+        with ALONE, xarray.open_dataset(path, engine="netcdf4") as dataset:
             return dataset.load()
     except (OSError, ValueError) as error:
         raise SeriesError(f"{path}: cannot be read ({error})") from error
@@ -84,7 +85,7 @@ def joined(datasets: Mapping[str, "xarray.Dataset"], *, title: str) -> tuple["xa
 
 def write_dataset(dataset: "xarray.Dataset", path: Path) -> None:
     """Write a dataset as one whole netCDF file; raises OutputError."""
-    with whole_file(path) as hidden:
+    with ALONE, whole_file(path) as hidden:
         # CF allows no fill value on a coordinate; xarray writes one on every float
         bare = {str(name): {"_FillValue": None} for name in dataset.coords}
         dataset.to_netcdf(hidden, engine="netcdf4", format="NETCDF4", encoding=bare)

@@ -283,3 +283,50 @@ def test_a_half_written_dataset_of_a_finished_variant_is_one_line(tmp_path, capf
     assert err.count("\n") == 1 and "statistics.nc: cannot be read" in err
     assert main(["run", str(path), "--out", str(out), "--no-movie", "--quiet", "--force"]) == 0
     assert (folder / "statistics.nc").read_bytes() == data
+
+
+THREADS = """
+import sys
+from pathlib import Path
+from threading import Thread
+from pipeline import load_case
+from pipeline.campaign import run_campaign
+
+def solve(out):
+    for k in range(3):
+        done.append(run_campaign(load_case(sys.argv[1]), Path(sys.argv[2]) / f"{out}-{k}", movie=False).exit_code)
+
+done = []
+threads = [Thread(target=solve, args=(name,)) for name in "abc"]
+for one in threads:
+    one.start()
+for one in threads:
+    one.join()
+print(done)
+"""
+
+
+@pytest.mark.slow
+def test_threads_of_one_process_may_run_a_case_each(tmp_path):
+    case = written(tmp_path, frames=40, seconds=30)
+    asked = [sys.executable, "-c", THREADS, str(case), str(tmp_path)]
+    ran = subprocess.run(asked, capture_output=True, text=True, cwd=ROOT, timeout=300)  # netCDF kills the process
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, f"{[0] * 9}\n", "")
+    folders = list(tmp_path.glob("[abc]-*/*/only"))
+    assert len(folders) == 9
+    for folder in folders:
+        assert assert_readable(folder) == 41
+        with xarray.open_dataset(folder / "statistics.nc") as dataset:
+            assert dataset.sizes["time"] == 41 and not dataset.volume_ratio.isnull().any()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the names of files have no locale on Windows: NOT tested there")
+def test_a_folder_that_the_locale_cannot_spell_is_one_line(tmp_path):
+    bare = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    asked = command(written(tmp_path), tmp_path / "Bär")
+    ran = subprocess.run(asked, env=os.environ | bare, capture_output=True, text=True, cwd=ROOT, timeout=300)
+    assert ran.returncode == OutputError.exit_code and len(ran.stderr.splitlines()) == 1
+    assert "statistics.nc: the locale's encoding" in ran.stderr and "PYTHONUTF8=1" in ran.stderr
+    spelt = subprocess.run([*asked, "--force"], env=os.environ | bare | {"PYTHONUTF8": "1"}, cwd=ROOT, timeout=300)
+    (folder,) = tmp_path.glob("Bär/*/only")
+    assert spelt.returncode == 0 and assert_readable(folder) == 13

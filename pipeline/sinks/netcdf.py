@@ -1,5 +1,6 @@
 """statistics.nc: the numbers of every frame, appended and synced, so that a killed run keeps all its frames."""
 
+import threading
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from pipeline.mesh.simplex import Mesh
 
 _CHUNK = 256  # frames; the default of one would make a chunk, and its index entry, of every number
 _CELLS_CHUNK = 2048  # numbers of cells, where a frame has fewer: the index of chunks is kept in memory
+# the netCDF library serves one thread at a time and dies of two; xarray's own locks leave out the opening
+ALONE = threading.RLock()
 
 
 class NetcdfSink:
@@ -27,18 +30,27 @@ class NetcdfSink:
     def write(self, frame: Frame, measured: Values) -> None:
         """Append one frame and sync it to the disk."""
         try:
-            if self._dataset is None:
-                self._dataset = self._opened(frame.mesh, measured)
-                _keep_little(self._dataset)
-            self._dataset["time"][self._count] = frame.time
-            for name, value in measured.items():
-                if name in VARIABLES:
-                    self._dataset[name][self._count] = value
-            self._write_steps(frame.step or 0, measured)
-            self._dataset.sync()
+            with ALONE:
+                self._append(frame, measured)
+        except UnicodeError as error:
+            raise OutputError(
+                f"{self.path}: the locale's encoding, which netCDF uses, has not all of this name's letters; "
+                "set PYTHONUTF8=1, or name another folder"
+            ) from error
         except (OSError, RuntimeError) as error:
             raise OutputError(f"{self.path}: cannot be written ({error})") from error
         self._count += 1
+
+    def _append(self, frame: Frame, measured: Values) -> None:
+        if self._dataset is None:
+            self._dataset = self._opened(frame.mesh, measured)
+            _keep_little(self._dataset)
+        self._dataset["time"][self._count] = frame.time
+        for name, value in measured.items():
+            if name in VARIABLES:
+                self._dataset[name][self._count] = value
+        self._write_steps(frame.step or 0, measured)
+        self._dataset.sync()
 
     def _write_steps(self, last: int, measured: Values) -> None:
         """Append what is known of the steps since the frame before; none has led to the first frame."""
@@ -60,7 +72,8 @@ class NetcdfSink:
         if self._dataset is not None:
             dataset, self._dataset = self._dataset, None
             try:
-                dataset.close()
+                with ALONE:
+                    dataset.close()
             except (OSError, RuntimeError) as error:
                 raise OutputError(f"{self.path}: cannot be closed ({error})") from error
 

@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.errors import SeriesError
 from pipeline.series import Series
 from pipeline.sinks.atomic import write_whole
+from pipeline.sinks.netcdf import ALONE
 from pipeline.views.blocks import Block, Heading, Paragraph, Table, anchor, data_uri, document, html_block, navigation
 from pipeline.views.web.curves import curves, worst_frame
 from pipeline.views.web.solids import OnFrame, Solids, solids
@@ -100,6 +101,7 @@ def _opened(path: Path, stack: ExitStack) -> "xarray.Dataset":
     import xarray
 
     try:
+        stack.enter_context(ALONE)
         return stack.enter_context(xarray.open_dataset(path, engine="netcdf4"))
     except (OSError, ValueError) as error:
         raise SeriesError(f"{path}: cannot be read ({error})") from error
