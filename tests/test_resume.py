@@ -223,7 +223,7 @@ def test_a_signal_ends_the_command_with_one_line_and_130(tmp_path, name):
     while child.poll() is None and not (frames / "frame_000003.vtu").exists():
         os.sched_yield()
     child.send_signal(getattr(signal, name))
-    _, err = child.communicate(timeout=30)
+    _, err = child.communicate(timeout=120)
     assert child.returncode == 130 and err.count("\n") == 1
     assert err.startswith("interrupted after step ") and "--resume" in err
     assert json.loads((frames.parent / "run.json").read_text())["status"] == "interrupted"
