@@ -65,7 +65,7 @@ def frames(
     while state.step < problem.frames * problem.steps_per_frame:
         state, done = _timed_step(stepper, state)
         if problem.method.model == "auto":
-            done = replace(done, history=((done.rung, done.solves, done.indicator),))
+            done.history = ((done.rung, done.solves, done.indicator),)
         work += done
         if after_step is not None:
             after_step(state, work)
@@ -85,7 +85,8 @@ def _timed_step(stepper: Stepper, state: State) -> tuple[State, Work]:
     # written so that NaN fails too
     if not (np.vdot(new.x, new.x) < _BEYOND**2 and np.vdot(new.v, new.v) < _BEYOND**2):
         raise SolveError(f"positions are no longer finite {at}; try a smaller schedule.dt than {stepper.dt:g}")
-    return new, work + Work(seconds=time.perf_counter() - began)
+    work.seconds += time.perf_counter() - began
+    return new, work
 
 
 def _frame(problem: Problem, state: State, work: Work) -> Frame:
