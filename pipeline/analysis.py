@@ -145,6 +145,7 @@ class _Rows:
     def __init__(self, path: Path, stack: ExitStack) -> None:
         import netCDF4
 
+        stack.enter_context(ALONE)
         self._dataset = stack.enter_context(netCDF4.Dataset(path))
         self._dataset.set_auto_mask(False)
         self.times = self._dataset["time"][:]
@@ -224,7 +225,7 @@ def _write_comparison(
     import netCDF4
 
     names = [n for n in VARIABLES if all(n in one.names for one in rows) and (same or "cell" not in VARIABLES[n].dims)]
-    with netCDF4.Dataset(path, "w", format="NETCDF4") as out:
+    with ALONE, netCDF4.Dataset(path, "w", format="NETCDF4") as out:
         _create(out, names, rows if same else [], series, times, difference=difference)
         for k, time in enumerate(times.tolist()):
             first: Values = {}
@@ -245,7 +246,7 @@ def _write_apart(path: Path, series: list[Series], times: Floats, on_frame: OnFr
         if on_frame is not None:
             on_frame("difference of nodes", done, count)
 
-    with netCDF4.Dataset(path, "a") as out:
+    with ALONE, netCDF4.Dataset(path, "a") as out:
         return write_apart(out, series, times, told)
 
 

@@ -24,7 +24,7 @@ from pipeline.series import Series
 from pipeline.sinks.atomic import whole_file
 from pipeline.sinks.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.sinks.formats import FORMATS
-from pipeline.sinks.netcdf import NetcdfSink
+from pipeline.sinks.netcdf import ALONE, NetcdfSink
 
 CHECKPOINTS = "checkpoints"
 LOCK = ".lock"
@@ -213,7 +213,7 @@ def _old_statistics(path: Path, count: int) -> Iterator[Any]:
     import netCDF4
 
     try:
-        with netCDF4.Dataset(path) as old:
+        with ALONE, netCDF4.Dataset(path) as old:
             old.set_auto_mask(False)
             if len(old.dimensions["time"]) < count:
                 raise SeriesError(f"{path}: {len(old.dimensions['time'])} of {count} frames, and the files are rounded")

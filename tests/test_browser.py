@@ -111,7 +111,7 @@ def settled(page, selector, index, before) -> float:
 
 def until(page, condition: str) -> None:
     """Wait for a condition; the browser's own waiting needs eval, which the page forbids."""
-    for _ in range(100):
+    for _ in range(600):
         if page.evaluate(condition):
             return
         page.wait_for_timeout(100)

@@ -88,7 +88,7 @@ def test_kill_9_at_random_moments_loses_one_frame_at_most_and_the_rest_goes_on(t
     before, moments = 0, random.Random(number)
     for _ in range(kills):
         child = warm_child(command(path, out, "--resume")[3:])
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 300
         while not (folder / f"frames/frame_{before + 1:06d}.vtu").exists() and child.is_alive():
             assert time.monotonic() < deadline
             time.sleep(0.001)
@@ -318,6 +318,55 @@ def test_threads_of_one_process_may_run_a_case_each(tmp_path):
         assert assert_readable(folder) == 41
         with xarray.open_dataset(folder / "statistics.nc") as dataset:
             assert dataset.sizes["time"] == 41 and not dataset.volume_ratio.isnull().any()
+
+
+INTERRUPTED = """
+import shutil, sys
+from pathlib import Path
+from threading import Thread
+from pipeline import load_case, variant_run
+from pipeline.analysis import compare
+from pipeline.campaign import run_campaign
+from pipeline.series import read_series
+
+def interrupting(self, state, work, writer):
+    genuine(self, state, work, writer)
+    if state.step == 30:
+        raise KeyboardInterrupt
+
+case, out = load_case(sys.argv[1]), Path(sys.argv[2])
+genuine, variant_run.VariantRun._after_step = variant_run.VariantRun._after_step, interrupting
+try:
+    run_campaign(case, out / "base", movie=False)
+except KeyboardInterrupt:
+    variant_run.VariantRun._after_step = genuine
+
+def go_on(name):
+    for k in range(4):
+        shutil.copytree(out / "base", out / f"{name}-{k}")
+        resumed = run_campaign(case, out / f"{name}-{k}", movie=False, resume=True)
+        twice = [read_series(resumed.variants[0].folder, name=one) for one in "ab"]
+        compare(twice, out / f"{name}-{k}" / "compared", difference=True)
+        done.append(resumed.variants[0].run["resumed_after_steps"])
+
+done = []
+threads = [Thread(target=go_on, args=(name,)) for name in "abc"]
+for one in threads:
+    one.start()
+for one in threads:
+    one.join()
+print(done == [[30]] * 12)
+"""
+
+
+@pytest.mark.slow
+def test_threads_may_go_on_and_compare(tmp_path):
+    """float32: the frames are put beside what statistics.nc says."""
+    output, schedule = {"checkpoint_seconds": 1e-9, "precision": "float32"}, {"dt": 0.002, "frames": 40}
+    case = write_case(tmp_path, schedule=schedule, output=output, variants={"only": {}})
+    asked = [sys.executable, "-c", INTERRUPTED, str(case), str(tmp_path)]
+    ran = subprocess.run(asked, capture_output=True, text=True, cwd=ROOT, timeout=300)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "True\n", "")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the names of files have no locale on Windows: NOT tested there")

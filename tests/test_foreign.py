@@ -104,7 +104,7 @@ def test_time_is_limited(child, monkeypatch):
     began = time.monotonic()
     assert "took longer than 1 s" in refused(child, "hang")
     assert "took longer" in refused(child, "spin")
-    assert time.monotonic() - began < 20
+    assert time.monotonic() - began < 50
     monkeypatch.undo()
 
 

@@ -1,6 +1,7 @@
 """Inline .vtu read without VTK: the same numbers as VTK's, nothing else taken for one, damage told."""
 
 import random
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -125,6 +126,7 @@ def test_numbers_are_found_whatever_xml_stands_about_them(tmp_path, monkeypatch)
         "comment": text[:at] + '<!-- <a b="c"> -->' + text[at:],
         "references": f"{text[:first]}&#{ord(text[first])};{text[first + 1 :]}",
         "end within": text.replace('Name="stress"', """one='a>"b' other="'>" Name="stress" """),
+        "instruction": text.replace("<PointData", "<?a <b>?><PointData", 1),
         "apostrophes": text.replace('Name="stress"', "Name = 'stress'"),
     }
     for name, changed in ways.items():  # VTK itself stumbles on some of these
@@ -140,12 +142,27 @@ def test_numbers_are_found_whatever_xml_stands_about_them(tmp_path, monkeypatch)
     assert text[first : first + 300].encode() not in parsed[0]
 
 
-def test_a_number_of_a_text_that_was_not_taken_out_is_left_to_vtk(tmp_path):
-    text = saved(rich(), tmp_path / "f.vtu").read_text()
+@pytest.mark.parametrize("said", ["@0", "@1", "@ 1", "@+1", "@01", "@-1", "&#64;1", "@0<?x?>", "@9", "@x", "@"])
+def test_what_stands_for_a_text_is_not_taken_from_the_file(tmp_path, said):
+    """All arrays have the same size here: the numbers of any would do for any."""
+    grid = rich()
+    for name in "abcdef":
+        grid.cell_data[name] = np.random.default_rng(1).normal(size=(len(CELLS), 9))
+    text = saved(grid, tmp_path / "f.vtu", compressor="none").read_text()
     at = long_text(text)
-    for k in ("@999", "@-1", "@x", "@"):
-        (tmp_path / "f.vtu").write_text(text[:at] + k + text[text.index("<", at) :])
-        assert inline_file(tmp_path / "f.vtu") is None, k
+    (tmp_path / "f.vtu").write_text(text[:at] + said + text[text.index("<", at) :])
+    assert inline_file(tmp_path / "f.vtu") is None
+
+
+def test_many_attributes_take_little_memory(tmp_path):
+    """The regular expression that finds where an attribute ends keeps hundreds of bytes of each."""
+    attributes = ' a=""' * 200_000  # which no parser takes
+    (tmp_path / "f.vtu").write_text(f'<?xml version="1.0"?><VTKFile{attributes}>{"A" * 300}</VTKFile>')
+    tracemalloc.start()
+    assert inline_file(tmp_path / "f.vtu") is None
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20 * (tmp_path / "f.vtu").stat().st_size
 
 
 @pytest.mark.parametrize("name", ["types", "connectivity", "Points"])

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
-from pipeline import build, frames, load_case, variant_run
+from pipeline import build, frames, load_case, record_keeping, variant_run
 from pipeline.errors import OutputError, SolveError
 from pipeline.frame import Frame
 from pipeline.mesh.shapes import box
@@ -185,15 +185,18 @@ def test_drain_returns_when_all_is_written_and_told(tmp_path, shared):
 )
 def test_a_writer_that_fails_stops_the_run_with_its_own_message(tmp_path, shared, kind, error, message):
     sink, other = kind(tmp_path / "notes"), Notes(tmp_path / "other")
-    solved = []
+    recording, after = shared.recording([other, sink]), []
 
     def solve(index):
-        solved.append(index)
-        time.sleep(0.02)  # as a solver does: without, how many are taken is a race with who hears of the failure
+        if index == 3:  # the failure, at frame 2, is heard of before the next is handed over
+            deadline = time.monotonic() + PATIENCE
+            while not recording._failed and time.monotonic() < deadline:
+                time.sleep(0.001)
+        after.append(index)
 
     with pytest.raises(error, match=message) as caught:
-        drive(some_frames(1000, solve), shared.recording([other, sink]))
-    assert len(solved) < 300 and sink.lines() == ["0", "1", "closed"] and other.lines() == ["0", "1", "2", "closed"]
+        drive(some_frames(9, solve), recording)
+    assert after == [0, 1, 2, 3] and sink.lines() == ["0", "1", "closed"] and other.lines() == ["0", "1", "2", "closed"]
     if kind is Faulty:
         assert "in second" in caught.value.__notes__[0]
     # and it is there for the next run
@@ -285,9 +288,9 @@ def test_an_end_in_the_middle_of_a_message_does_not_wait(tmp_path, monkeypatch):
         assert time.monotonic() - began < PATIENCE / 3
 
 
-def test_the_lock_outlives_the_one_who_asked_until_nothing_more_is_written(tmp_path):
+def test_the_lock_outlives_the_one_who_asked_until_nothing_more_is_written(tmp_path, monkeypatch):
     code = f"""
-import os, pathlib, signal, sys
+import os, pathlib, signal, sys, time
 from pipeline.record_keeping import folder_lock
 from pipeline.sinks.writer_process import WriterProcess
 from tests.test_writer_process import Slow, some_frames
@@ -296,8 +299,8 @@ with folder_lock(folder) as lock:
     recording = WriterProcess(keep=lock).recording([Slow(folder / "notes")])
     for frame in some_frames(5):
         recording.take(frame)
-    while len(Slow(folder / "notes").lines() if (folder / "notes").exists() else ()) < 2:
-        pass
+    while recording.summary.frames < 2:  # it told of two, and waits in the third
+        time.sleep(0.001)
     os.kill(os.getpid(), signal.SIGKILL)
 """
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == -signal.SIGKILL
@@ -308,6 +311,7 @@ with folder_lock(folder) as lock:
     while "closed" not in (lines := Slow(tmp_path / "notes").lines()) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert lines == ["0", "1", "2", "closed"]  # what waited is left out
+    monkeypatch.setattr(record_keeping, "_PATIENCE", PATIENCE)
     with folder_lock(tmp_path):  # after a moment
         pass
 
@@ -325,7 +329,7 @@ def test_a_checkpoint_waits_for_the_frames_before_it(tmp_path, monkeypatch):
     monkeypatch.setattr(CheckpointFolder, "write", looking)
     monkeypatch.setattr(variant_run, "WORTH_A_PROCESS", 0)
     solve(written(tmp_path, seconds=1e-9), tmp_path / "out")
-    assert len(seen) == 10 and all(frames == files for frames, files in seen)
+    assert len(seen) == 9 and all(frames == files for frames, files in seen)
 
 
 def test_small_meshes_are_written_in_between(tmp_path, monkeypatch):

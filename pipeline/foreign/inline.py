@@ -39,7 +39,7 @@ _HEAD, _ELSEWHERE = 4096, (b'format="appended"', b'format="ascii"')  # not worth
 _LEAST_BYTES, _BYTES_PER_BYTE = 2 * 10**9, 40
 # parsing takes up to four times the file; marks are what elements and attributes are made of, some 100 bytes each
 _LARGEST, _MOST_MARKS = _LEAST_BYTES // 4, 10**6
-_LONG = 200  # characters of a text that is worth keeping from the parser
+_LONG, _LONG_TAG = 200, 10_000  # bytes of a text that is worth keeping from the parser, and of a tag that has none
 _TAG = re.compile(rb"""/?[\w:.-]+(?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))*\s*/?""")
 _CORNERS = {1: 1, 3: 2, 5: 3, 9: 4, 10: 4, 12: 8, 13: 6, 14: 5, 21: 3, 22: 6, 23: 8, 24: 10, 25: 20}  # of VTK's kinds
 
@@ -180,20 +180,20 @@ def _read(file: Path) -> Inline:
     return Inline(points, cells, (Arrays(file, of_points), Arrays(file, of_cells), Arrays(file, whole)))
 
 
-def _without_texts(content: bytes) -> tuple[bytes, list[bytes]]:
-    """Return the XML with @k in the place of the k-th text that is long enough to hold numbers, and these texts.
+def _without_texts(content: bytes) -> tuple[bytes, dict[bytes, bytes]]:
+    """Return the XML with @k in the place of the k-th text that is long enough to hold numbers, and these texts by it.
 
     A parser looks at every character of them, which is most of the time that a file takes. Base64 has no @.
     """
-    parts, texts = content.split(b"<", _MOST_MARKS), list[bytes]()
-    declared = [part for part in parts if part.startswith(b"!")]
-    if len(parts) > _MOST_MARKS or any(part.startswith(b"!DOCTYPE") for part in declared):
+    parts, texts = content.split(b"<", _MOST_MARKS), dict[bytes, bytes]()
+    odd = [part for part in parts[2:] if part.startswith((b"!", b"?"))]  # the first two are <?xml and what is before
+    if len(parts) > _MOST_MARKS or any(part.startswith(b"!DOCTYPE") for part in parts):
         raise _NotInlineError  # entities are for claims.py to refuse
-    for i, part in enumerate([] if declared else parts):  # comments may hold what looks like an element
+    for i, part in enumerate([] if odd else parts):  # comments may hold what looks like an element
         tag, end, text = part.partition(b">")
-        if len(text) > _LONG and b"&" not in text and _TAG.fullmatch(tag):
-            parts[i] = b"%s%s@%d" % (tag, end, len(texts))
-            texts.append(text.strip())
+        if len(text) > _LONG and b"&" not in text and len(tag) < _LONG_TAG and _TAG.fullmatch(tag):
+            place = b"@%d" % len(texts)
+            parts[i], texts[place] = tag + end + place, text.strip()
     bare = b"<".join(parts)
     if bare.count(b'"') + bare.count(b"'") > _MOST_MARKS:
         raise _NotInlineError
@@ -215,7 +215,7 @@ class _Way(NamedTuple):
     order: str
     header: str
     compressed: bool
-    texts: list[bytes]  # what _without_texts took out
+    texts: dict[bytes, bytes]  # what _without_texts took out
 
 
 def _packed(array: ElementTree.Element, tuples: int | None, way: _Way) -> Packed:
@@ -227,7 +227,7 @@ def _packed(array: ElementTree.Element, tuples: int | None, way: _Way) -> Packed
         raise _NotInlineError
     numbers = (array.text or "").strip().encode()
     if numbers.startswith(b"@"):
-        numbers = way.texts[int(numbers[1:])]
+        numbers = way.texts.pop(numbers)  # KeyError: that is what the file itself says
     sizes, packed, numbers = _blocks(numbers, way)
     if text and tuples:
         return Packed("S", (tuples,), sizes, packed, numbers)

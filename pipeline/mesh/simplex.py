@@ -23,7 +23,10 @@ def edge_matrices(points: Floats, cells: Ints) -> Floats:
 
 
 def signed_volumes(points: Floats, cells: Ints) -> Floats:
-    """Return det D / d! (e,): volumes [m3], or areas [m2] for triangles; negative where inverted."""
+    """Return det D / d! (e,): volumes [m3], or areas [m2] for triangles; negative where inverted.
+
+    That cells name nodes that there are is not checked.
+    """
     out, by_component = np.empty(len(cells)), np.ascontiguousarray(points.T)
     with np.errstate(all="ignore"):  # of numbers near the ends of what doubles hold: judged by who asks
         for k in range(0, len(cells), _AT_A_TIME):

@@ -42,18 +42,21 @@ class CheckpointFolder:
     def __init__(self, folder: Path, *, seconds: float) -> None:
         self.folder = Path(folder)
         self.seconds = seconds
-        self._written = time.monotonic()
+        self._since: float | None = None  # from the first step on: a set-up that compiles does not count
 
     def due(self) -> bool:
-        """Return whether the last one, or the start, is long enough ago."""
-        return time.monotonic() - self._written >= self.seconds
+        """Return whether the last one, or the first time that this was asked, is long enough ago."""
+        now = time.monotonic()
+        if self._since is None:
+            self._since = now
+        return now - self._since >= self.seconds
 
     def write(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint and remove all but the last two; raises OutputError."""
         write_whole(self.folder / f"step_{checkpoint.state.step:09d}.checkpoint", encoded(checkpoint))
         for old in self._paths()[_KEPT:]:
             old.unlink(missing_ok=True)
-        self._written = time.monotonic()
+        self._since = time.monotonic()
 
     def readable(self) -> Iterator[Checkpoint | str]:
         """Yield the checkpoints, the last one first; in place of one that is damaged, a note that says so."""

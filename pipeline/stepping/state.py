@@ -14,7 +14,8 @@ from pipeline.mesh.simplex import Floats
 class State:
     """Positions x (n, d) [m] and velocities v (n, d) [m/s] after `step` steps; time is step * dt.
 
-    `memory` is all else that the method carries, as plain named arrays.
+    `memory` is all else that the method carries, as plain named arrays. None of these arrays is to be changed: who made
+    it knows it again in the next step (fidelity.py). Make a new state instead.
     """
 
     step: int

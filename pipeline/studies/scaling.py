@@ -192,7 +192,7 @@ def _figure(rows: Sequence[Row], path: Path) -> None:
         title = "Cost of a step; dotted: what the bandwidth allows, dashed: plain scipy"
         axes.set_title(title, loc="left", fontsize=10)
         axes.grid(visible=True, which="major", color="#e3e5ea")
-        axes.legend(frameon=False)
+        axes.legend(frameon=False, loc="upper left")
         with whole_file(path) as hidden:
             figure.savefig(hidden, metadata={"Software": None})
 
