@@ -193,7 +193,9 @@ class VariantRun:
         """Write a checkpoint where one is due; raises Interrupted where an end was asked for."""
         self._last = state
         frames = self.case.output.checkpoint_frames
-        due = self.checkpoints.due() or (frames and state.step % (frames * self.problem.steps_per_frame) == 0)
+        due = self.checkpoints.due(work.seconds) or (
+            frames and state.step % (frames * self.problem.steps_per_frame) == 0
+        )
         if self.asked.requested or due:
             writer.drain()  # a checkpoint says that the frames before it are on the disk
             if self.summary is not None:

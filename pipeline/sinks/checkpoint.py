@@ -44,11 +44,11 @@ class CheckpointFolder:
         self.seconds = seconds
         self._since: float | None = None  # from the first step on: a set-up that compiles does not count
 
-    def due(self) -> bool:
-        """Return whether the last one, or the first time that this was asked, is long enough ago."""
+    def due(self, solved: float) -> bool:
+        """Return whether the last one, or the first step's begin, is long enough ago; steps have taken `solved` [s]."""
         now = time.monotonic()
         if self._since is None:
-            self._since = now
+            self._since = now - solved
         return now - self._since >= self.seconds
 
     def write(self, checkpoint: Checkpoint) -> None:
