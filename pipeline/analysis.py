@@ -21,6 +21,7 @@ from pipeline.series import Series, read_series
 from pipeline.series.apart import Apart, write_apart
 from pipeline.sinks.atomic import whole_file
 from pipeline.sinks.netcdf import ALONE, NetcdfSink
+from pipeline.statistics import opened
 
 if TYPE_CHECKING:
     import xarray
@@ -291,11 +292,9 @@ def _title(series: Sequence[Series]) -> str:
 
 def _figure(path: Path, picture: Path, methods: list[str], title: str, notes: list[str]) -> Path:
     """Draw the volume ratios of a dataset on disk; of long ones some frames, the worst among them."""
-    import xarray
-
     from pipeline.views.plots import volume_figure
 
-    with ALONE, xarray.open_dataset(path, engine="netcdf4") as dataset:
+    with opened(path) as dataset:
         kept = _drawn(dataset)
         if len(kept) < dataset.sizes["time"]:
             notes.append(f"{picture.name} shows {len(kept)} of {dataset.sizes['time']} frames, the worst among them")
@@ -308,11 +307,9 @@ def _figure(path: Path, picture: Path, methods: list[str], title: str, notes: li
 
 def _distances(path: Path, picture: Path, title: str) -> Path:
     """Draw how far the nodes are from those of the first series."""
-    import xarray
-
     from pipeline.views.plots import distance_figure
 
-    with ALONE, xarray.open_dataset(path, engine="netcdf4") as dataset:
+    with opened(path) as dataset:
         distance_figure(dataset[["node_distance_worst", "node_distance_rms"]], picture, title=title)
     return picture
 

@@ -1,6 +1,7 @@
 """Datasets of volume statistics: of one series, and of several variants joined along `method`."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,13 +42,28 @@ def series_statistics(series: Series) -> "xarray.Dataset":
 
 def read_statistics(path: Path) -> "xarray.Dataset":
     """Return the dataset of a statistics.nc, loaded and closed; raises SeriesError where it cannot be read."""
-    import xarray
-
     try:
-        with ALONE, xarray.open_dataset(path, engine="netcdf4") as dataset:
+        with opened(path) as dataset:
             return dataset.load()
     except (OSError, ValueError) as error:
         raise SeriesError(f"{path}: cannot be read ({error})") from error
+
+
+@contextmanager
+def opened(path: Path) -> "Iterator[xarray.Dataset]":
+    """Yield a netCDF file whose numbers are read when they are asked for; raises SeriesError where it cannot be opened.
+
+    Other threads wait for their turn meanwhile.
+    """
+    import xarray
+
+    with ExitStack() as stack:
+        stack.enter_context(ALONE)
+        try:
+            dataset = stack.enter_context(xarray.open_dataset(path, engine="netcdf4"))
+        except (OSError, ValueError) as error:
+            raise SeriesError(f"{path}: cannot be read ({error})") from error
+        yield dataset
 
 
 def joined(datasets: Mapping[str, "xarray.Dataset"], *, title: str) -> tuple["xarray.Dataset", list[str]]:

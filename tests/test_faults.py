@@ -286,18 +286,17 @@ def test_a_half_written_dataset_of_a_finished_variant_is_one_line(tmp_path, capf
 
 
 THREADS = """
-import sys
+import shutil, sys
 from pathlib import Path
 from threading import Thread
-from pipeline import load_case
+from pipeline import load_case, variant_run
+from pipeline.analysis import compare
 from pipeline.campaign import run_campaign
+from pipeline.series import read_series
 
-def solve(out):
-    for k in range(3):
-        done.append(run_campaign(load_case(sys.argv[1]), Path(sys.argv[2]) / f"{out}-{k}", movie=False).exit_code)
-
-done = []
-threads = [Thread(target=solve, args=(name,)) for name in "abc"]
+case, out, done = load_case(sys.argv[1]), Path(sys.argv[2]), []
+{work}
+threads = [Thread(target=work, args=(name,)) for name in "abc"]
 for one in threads:
     one.start()
 for one in threads:
@@ -306,11 +305,22 @@ print(done)
 """
 
 
+def on_three_threads(work: str, case: Path, out: Path) -> subprocess.CompletedProcess[str]:
+    """Run `work(name)` a thread in a process of its own, which netCDF kills where two threads enter it."""
+    asked = [sys.executable, "-c", THREADS.format(work=work), str(case), str(out)]
+    return subprocess.run(asked, capture_output=True, text=True, cwd=ROOT, timeout=300)
+
+
+SOLVED = """
+def work(name):
+    for k in range(3):
+        done.append(run_campaign(case, out / f"{name}-{k}", movie=False).exit_code)
+"""
+
+
 @pytest.mark.slow
 def test_threads_of_one_process_may_run_a_case_each(tmp_path):
-    case = written(tmp_path, frames=40, seconds=30)
-    asked = [sys.executable, "-c", THREADS, str(case), str(tmp_path)]
-    ran = subprocess.run(asked, capture_output=True, text=True, cwd=ROOT, timeout=300)  # netCDF kills the process
+    ran = on_three_threads(SOLVED, written(tmp_path, frames=40, seconds=30), tmp_path)
     assert (ran.returncode, ran.stdout, ran.stderr) == (0, f"{[0] * 9}\n", "")
     folders = list(tmp_path.glob("[abc]-*/*/only"))
     assert len(folders) == 9
@@ -321,41 +331,24 @@ def test_threads_of_one_process_may_run_a_case_each(tmp_path):
 
 
 INTERRUPTED = """
-import shutil, sys
-from pathlib import Path
-from threading import Thread
-from pipeline import load_case, variant_run
-from pipeline.analysis import compare
-from pipeline.campaign import run_campaign
-from pipeline.series import read_series
-
 def interrupting(self, state, work, writer):
     genuine(self, state, work, writer)
     if state.step == 30:
         raise KeyboardInterrupt
 
-case, out = load_case(sys.argv[1]), Path(sys.argv[2])
 genuine, variant_run.VariantRun._after_step = variant_run.VariantRun._after_step, interrupting
 try:
     run_campaign(case, out / "base", movie=False)
 except KeyboardInterrupt:
     variant_run.VariantRun._after_step = genuine
 
-def go_on(name):
+def work(name):
     for k in range(4):
         shutil.copytree(out / "base", out / f"{name}-{k}")
         resumed = run_campaign(case, out / f"{name}-{k}", movie=False, resume=True)
         twice = [read_series(resumed.variants[0].folder, name=one) for one in "ab"]
         compare(twice, out / f"{name}-{k}" / "compared", difference=True)
-        done.append(resumed.variants[0].run["resumed_after_steps"])
-
-done = []
-threads = [Thread(target=go_on, args=(name,)) for name in "abc"]
-for one in threads:
-    one.start()
-for one in threads:
-    one.join()
-print(done == [[30]] * 12)
+        done.extend(resumed.variants[0].run["resumed_after_steps"])
 """
 
 
@@ -364,9 +357,8 @@ def test_threads_may_go_on_and_compare(tmp_path):
     """float32: the frames are put beside what statistics.nc says."""
     output, schedule = {"checkpoint_seconds": 1e-9, "precision": "float32"}, {"dt": 0.002, "frames": 40}
     case = write_case(tmp_path, schedule=schedule, output=output, variants={"only": {}})
-    asked = [sys.executable, "-c", INTERRUPTED, str(case), str(tmp_path)]
-    ran = subprocess.run(asked, capture_output=True, text=True, cwd=ROOT, timeout=300)
-    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "True\n", "")
+    ran = on_three_threads(INTERRUPTED, case, tmp_path)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, f"{[30] * 12}\n", "")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the names of files have no locale on Windows: NOT tested there")

@@ -155,9 +155,7 @@ class FrozenPasses:
         v = stage.v_h.copy()
         work = self.pass_from(stage.start, stage, v, stage.R)
         for _ in range(self.passes - 1):
-            np.multiply(v, stage.h, out=self._x)
-            self._x += stage.x_h
-            work += self.pass_from(self._x, stage, v)
+            work += self.pass_from(reached(self.body, stage, v, out=self._x), stage, v)
         return reached(self.body, stage, v), v, work
 
     def pass_from(self, x: Floats, stage: Stage, v: Floats, R: Floats | None = None) -> Work:

@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.errors import SeriesError
 from pipeline.series import Series
 from pipeline.sinks.atomic import write_whole
-from pipeline.sinks.netcdf import ALONE
+from pipeline.statistics import opened
 from pipeline.views.blocks import Block, Heading, Paragraph, Table, anchor, data_uri, document, html_block, navigation
 from pipeline.views.web.curves import curves, worst_frame
 from pipeline.views.web.solids import OnFrame, Solids, solids
 from pipeline.views.web.worst import WorstCell, worst_cells
 
 if TYPE_CHECKING:
-    import xarray
+    pass
 
 MOST_MOVIE_BYTES = 4_000_000  # a longer film is linked, not carried along
 WORST = 5  # cells a series
@@ -62,8 +61,8 @@ def write_page(result: Result, path: Path, on_frame: OnFrame | None = None) -> P
 
     Raises SeriesError where a series or its statistics cannot be read, OutputError where the page cannot be written.
     """
-    with ExitStack() as opened:
-        statistics = [_opened(side.statistics, opened) for side in result.sides]
+    with ExitStack() as stack:
+        statistics = [stack.enter_context(opened(side.statistics)) for side in result.sides]
         worst = [worst_cells(s, side.series.mesh, WORST) for s, side in zip(statistics, result.sides, strict=True)]
         drawn = [curves(one) for one in statistics]
         moments = [min(worst_frame(s), len(side.series) - 1) for s, side in zip(statistics, result.sides, strict=True)]
@@ -95,16 +94,6 @@ def write_page(result: Result, path: Path, on_frame: OnFrame | None = None) -> P
     whole = f"<main>\n{chr(10).join(filter(None, body))}\n</main>\n{_scripts(data, shown)}"
     write_whole(path, document(result.title, whole, head=policy))
     return path
-
-
-def _opened(path: Path, stack: ExitStack) -> "xarray.Dataset":
-    import xarray
-
-    try:
-        stack.enter_context(ALONE)
-        return stack.enter_context(xarray.open_dataset(path, engine="netcdf4"))
-    except (OSError, ValueError) as error:
-        raise SeriesError(f"{path}: cannot be read ({error})") from error
 
 
 def _asset(name: str) -> str:
