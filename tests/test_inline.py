@@ -142,15 +142,17 @@ def test_numbers_are_found_whatever_xml_stands_about_them(tmp_path, monkeypatch)
     assert text[first : first + 300].encode() not in parsed[0]
 
 
-@pytest.mark.parametrize("said", ["@0", "@1", "@ 1", "@+1", "@01", "@-1", "&#64;1", "@0<?x?>", "@9", "@x", "@"])
+@pytest.mark.parametrize("said", ["@K", "@ K", "@+K", "@0K", "&#64;K", "@<?x?>K", "@-1", "@99", "@x", "@"])
 def test_what_stands_for_a_text_is_not_taken_from_the_file(tmp_path, said):
-    """All arrays have the same size here: the numbers of any would do for any."""
+    """K is the place of another array, of the same size: its numbers would do."""
     grid = rich()
-    for name in "abcdef":
-        grid.cell_data[name] = np.random.default_rng(1).normal(size=(len(CELLS), 9))
+    grid.cell_data["other"] = np.random.default_rng(2).normal(size=(len(CELLS), 9))
     text = saved(grid, tmp_path / "f.vtu", compressor="none").read_text()
     at = long_text(text)
-    (tmp_path / "f.vtu").write_text(text[:at] + said + text[text.index("<", at) :])
+    before, after = text[:at], text[text.index("<", at) :]
+    other = after[after.index(">", after.index('Name="other"')) + 1 :].split("<")[0].strip()
+    (place,) = (k for k, one in inline._without_texts((before + after).encode())[1].items() if one == other.encode())
+    (tmp_path / "f.vtu").write_text(before + said.replace("K", place.decode()[1:]) + after)
     assert inline_file(tmp_path / "f.vtu") is None
 
 
