@@ -16,12 +16,12 @@ help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: .venv/installed ## Create .venv, install everything into it; as root on Debian or Ubuntu the OpenGL libraries too
-	@if $(BIN)/python -m pipeline.opengl; then exit 0; fi; \
+	@if $(BIN)/python -m pipeline.system.opengl; then exit 0; fi; \
 	line="apt-get install -y --no-install-recommends $(OPENGL_PACKAGES)"; \
 	if [ "$$(id -u)" = 0 ] && [ -e /etc/debian_version ] && command -v apt-get >/dev/null; then \
 		echo "installing OpenGL libraries: apt-get update && $$line"; \
 		export DEBIAN_FRONTEND=noninteractive; \
-		apt-get update -qq && $$line -qq >/dev/null && $(BIN)/python -m pipeline.opengl && exit 0; \
+		apt-get update -qq && $$line -qq >/dev/null && $(BIN)/python -m pipeline.system.opengl && exit 0; \
 		echo "OpenGL could not be installed; going on without pictures and movies"; \
 	else \
 		echo "going on without pictures and movies; to have them on Debian or Ubuntu: sudo $$line"; \
@@ -72,7 +72,7 @@ quick: setup ## The tests that take no more than a few seconds each
 	$(PYTEST) -m "not slow"
 
 fuzz: setup ## 10 000 bad inputs, 100 kills at random moments; minutes
-	PIPELINE_FUZZ=10000 PIPELINE_KILLS=100 $(PYTEST) tests/test_fuzz.py tests/test_faults.py -k "files or kill_9"
+	PIPELINE_FUZZ=10000 PIPELINE_KILLS=100 $(PYTEST) tests/formats/test_fuzz.py tests/results/test_faults.py -k "files or kill_9"
 
 lint: .venv/installed ## ruff check, ruff format --check, mypy
 	$(BIN)/ruff check .

@@ -14,9 +14,9 @@ from pathlib import Path
 from statistics import median
 
 from pipeline import load_case
-from pipeline.campaign import run_campaign
+from pipeline.results.run_case import run_campaign
 from pipeline.series import read_series
-from pipeline.views.movie import write_movie
+from pipeline.views.movie.movie import write_movie
 
 CASE = Path(__file__).parent.parent / "cases" / "bar_as_printed.toml"
 VARIANTS = ("linear", "polar")

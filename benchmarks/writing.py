@@ -20,10 +20,10 @@ from statistics import median
 from threadpoolctl import threadpool_limits
 
 from pipeline import build, frames, load_case
-from pipeline.frame import Frame, Sink
-from pipeline.measures import measure
-from pipeline.run import Recording, Watcher, drive
-from pipeline.sinks.formats import FORMATS
+from pipeline.run.frame import Frame, Sink
+from pipeline.run.frames import Recording, Watcher, drive
+from pipeline.run.measures import measure
+from pipeline.sinks.frame_formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.writer_process import WriterProcess
 

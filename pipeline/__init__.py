@@ -9,12 +9,12 @@ In five lines:
     series = read_series("bar")
 """
 
-from pipeline.build import build
 from pipeline.case import load_case
 from pipeline.errors import PipelineError
-from pipeline.run import frames, record
+from pipeline.problem.build import build
+from pipeline.run.frames import frames, record
 from pipeline.series import read_series
-from pipeline.version import VERSION
+from pipeline.system.version import VERSION
 
 __version__ = VERSION
 

@@ -9,15 +9,15 @@ import numpy as np
 import tomli_w
 import xarray
 
-from pipeline.build import Problem, build
 from pipeline.case import MethodSpec, load_case
 from pipeline.fem.body import Body
-from pipeline.fem.compiled import make_body
+from pipeline.fem.compiled_body import make_body
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports, rotation_about
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
-from pipeline.methods import LAWS, MASSES, ROTATIONS, STEPPERS
+from pipeline.problem.build import Problem, build
+from pipeline.problem.methods import LAWS, MASSES, ROTATIONS, STEPPERS
 from pipeline.stepping.state import State, Stepper
 
 MATERIAL = Material(1e8, 0.33, 1000.0)  # of the thesis' bar

@@ -15,9 +15,9 @@ from hypothesis import settings
 
 from pipeline import build, frames, load_case
 from pipeline.errors import OutputError, PipelineError
-from pipeline.foreign.reader import Reader
+from pipeline.formats.sandbox import Reader
 from pipeline.mesh.simplex import signed_volumes
-from pipeline.opengl import ensure_opengl
+from pipeline.system.opengl import ensure_opengl
 
 ROOT = Path(__file__).resolve().parent.parent
 SKIP_OPENGL = os.environ.get("PIPELINE_SKIP_OPENGL") == "1"

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from pipeline.campaign import run_campaign
 from pipeline.case import load_case
+from pipeline.results.run_case import run_campaign
 from tests.bodies import without_figures, write_case
-from tests.test_resume import assert_same_results
+from tests.results.test_resume import assert_same_results
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

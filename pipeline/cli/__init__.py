@@ -5,10 +5,11 @@ import logging
 import os
 from collections.abc import Sequence
 
-from pipeline.cli import page, scenes, series, study
+from pipeline.cli import report as page
+from pipeline.cli import scenes, series, study
 from pipeline.cli.terminal import say
 from pipeline.errors import PipelineError
-from pipeline.version import VERSION
+from pipeline.system.version import VERSION
 
 INTERRUPTED = 130
 

@@ -56,7 +56,7 @@ def loaded_case(options: argparse.Namespace) -> Case:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from pipeline.campaign import run_campaign
+    from pipeline.results.run_case import run_campaign
 
     case = loaded_case(options)
     quiet = options.quiet or options.json
@@ -116,8 +116,8 @@ def _print_summary(result: Any) -> None:
 def _check(options: argparse.Namespace) -> int:
     from dataclasses import asdict
 
-    from pipeline.build import build
-    from pipeline.check import check, lines
+    from pipeline.problem.build import build
+    from pipeline.problem.check import check, lines
 
     case = loaded_case(options)
     problems = {name: build(case.variant(name)) for name in options.variants or case.variant_names}
@@ -137,7 +137,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _movie(options: argparse.Namespace) -> int:
-    from pipeline.comparison import movie_of_folder
+    from pipeline.results.comparison import movie_of_folder
 
     with progress(options.quiet) as bar:
         path = movie_of_folder(options.folder, on_drawing=bar.drawn)
@@ -147,7 +147,7 @@ def _movie(options: argparse.Namespace) -> int:
 
 
 def _reproduce(options: argparse.Namespace) -> int:
-    from pipeline.reproduction import reproduce
+    from pipeline.studies.thesis import reproduce
 
     with progress(options.quiet) as bar:
         result = reproduce(
@@ -166,7 +166,7 @@ def _reproduce(options: argparse.Namespace) -> int:
 
 
 def _methods(options: argparse.Namespace) -> int:
-    from pipeline.methods import DESCRIPTIONS
+    from pipeline.problem.methods import DESCRIPTIONS
 
     for key, rows in DESCRIPTIONS.items():
         print(key, *(f"{name:<18} {text}" for name, text in rows.items()), sep="\n  ")

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.analysis import Analysis, Comparison
 from pipeline.cli.terminal import progress, say
+from pipeline.results.analysis_folder import Analysis, Comparison
 from pipeline.series import Series, read_series
 
 
@@ -40,7 +40,7 @@ def _opened(options: argparse.Namespace, path: str) -> Series:
 
 
 def _analyze(options: argparse.Namespace) -> int:
-    from pipeline.analysis import analyze
+    from pipeline.results.analysis_folder import analyze
 
     series = _opened(options, options.series)
     with progress(options.quiet) as bar:
@@ -55,7 +55,7 @@ def _analyze(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from pipeline.analysis import compare
+    from pipeline.results.analysis_folder import compare
 
     series = [_opened(options, path) for path in options.series]
     with progress(options.quiet) as bar:
@@ -84,7 +84,7 @@ def _report(
     """Write report.html where it is asked for, with the command that led to it."""
     if not options.report:
         return
-    from pipeline.report import report_of_analysis
+    from pipeline.results.report import report_of_analysis
 
     given = [("--displacement", options.displacement), ("--rest", options.rest), ("--out", options.out.as_posix())]
     words = [*words, *(word for name, value in given if value for word in (name, value))]

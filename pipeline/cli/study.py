@@ -11,7 +11,7 @@ from pipeline.cli.terminal import progress, say
 from pipeline.errors import CaseError, SolveError, shown
 
 if TYPE_CHECKING:
-    from pipeline.studies.settings import Plan
+    from pipeline.studies.tradeoff.settings import Plan
 
 
 class Study(NamedTuple):
@@ -67,7 +67,7 @@ def _tradeoff_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _tradeoff(options: argparse.Namespace) -> int:
-    from pipeline.studies.settings import planned
+    from pipeline.studies.tradeoff.settings import planned
 
     plans = [
         planned(
@@ -111,7 +111,7 @@ def _tradeoff_cases(options: argparse.Namespace) -> list[Case]:
 
 def _print_tradeoff(plan: "Plan", options: argparse.Namespace) -> None:
     """Run the study of one case and print its answer."""
-    from pipeline.studies.tradeoff import tradeoff
+    from pipeline.studies.tradeoff.study import tradeoff
 
     with progress(options.quiet) as bar:
         found = tradeoff(
@@ -141,7 +141,7 @@ def _stability_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _stability(options: argparse.Namespace) -> int:
-    from pipeline.studies.stability import study_stability
+    from pipeline.studies.stability.study import study_stability
 
     case = load_case(options.case, overrides=dict(parse_override(text) for text in options.overrides))
     with progress(options.quiet) as bar:
@@ -173,7 +173,7 @@ def _scaling_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _scaling(options: argparse.Namespace) -> int:
-    from pipeline.studies.scaling import scaling
+    from pipeline.studies.scaling.study import scaling
 
     if options.scheduler:
         raise CaseError("--scheduler: costs are measured on this machine, one process after the other; leave it out")

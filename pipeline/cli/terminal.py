@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from pipeline.build import Problem
-from pipeline.frame import Frame
-from pipeline.run import RunSummary
+from pipeline.problem.build import Problem
+from pipeline.run.frame import Frame
+from pipeline.run.frames import RunSummary
 
 
 def say(line: str) -> None:

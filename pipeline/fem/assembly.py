@@ -61,7 +61,7 @@ class BlockPattern:
 
     def product(self, values: Floats, x: Floats, out: Floats) -> Floats:
         """Write the matrix times x (rows, d) into out, in the order of the rows, and return it."""
-        from pipeline.fem.block_kernels import product
+        from pipeline.fem.kernels.blocks import product
 
         product(self.indptr, self.indices, values, x, out)
         return out

@@ -8,12 +8,12 @@ import numpy as np
 
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
 from pipeline.fem.element import deformation_gradient, nodal_forces, nodal_sums, stiffness_blocks
+from pipeline.fem.frame_error import Turning, spurious_volume, turning
 from pipeline.fem.laws import Law, Tangent
 from pipeline.fem.loads import lumped_mass_pairs
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
-from pipeline.fem.turning import Turning, spurious_volume, turning
 from pipeline.mesh.simplex import Floats, Ints, Mesh
 
 
@@ -102,7 +102,7 @@ class Body:
         out = np.empty_like(v) if out is None else out
         if self.mass_pairs is lumped_mass_pairs:
             return np.multiply(self.lumped_mass[:, None], v, out=out)
-        from pipeline.fem.block_kernels import scalar_product
+        from pipeline.fem.kernels.blocks import scalar_product
 
         pattern = self.pattern
         scalar_product(pattern.indptr, pattern.indices, pattern.order, self._nodal_mass, np.ascontiguousarray(v), out)

@@ -29,7 +29,7 @@ def polar(F: Floats) -> Floats:
     if F.shape[-1] == 2:
         A = _scaled(F)
         return _planar(A[..., 0, 0] + A[..., 1, 1], A[..., 1, 0] - A[..., 0, 1])
-    from pipeline.fem.rotation_kernels import polar_rotations
+    from pipeline.fem.kernels.rotation import polar_rotations
 
     R = np.empty(F.shape)
     polar_rotations(np.ascontiguousarray(F), R)

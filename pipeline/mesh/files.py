@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import MeshError, listed, shortened
-from pipeline.foreign.claims import refusal
-from pipeline.foreign.meshes import SIMPLICES, Block
-from pipeline.foreign.reader import READER
+from pipeline.formats.meshio_reader import SIMPLICES, Block
+from pipeline.formats.preflight import refusal
+from pipeline.formats.sandbox import READER
 from pipeline.mesh.cleanup import (
     check_connectivity,
     check_points,
@@ -57,7 +57,7 @@ def _read(path: Path) -> tuple[Floats, list[Block], str]:
         raise MeshError(f"{path}: the file is empty")
     if why := refusal(path):
         raise MeshError(f"{path}: {why}")
-    points, blocks, said = READER.read("pipeline.foreign.meshes:plain_mesh", path, error=MeshError)
+    points, blocks, said = READER.read("pipeline.formats.meshio_reader:plain_mesh", path, error=MeshError)
     return points, blocks, said
 
 

@@ -7,8 +7,8 @@ from math import factorial, prod
 import numpy as np
 
 from pipeline.errors import MeshError, shown
-from pipeline.memory import free_bytes
 from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
+from pipeline.system.memory import free_bytes
 
 # split of a cell into simplices along the diagonal from its low to its high corner; `alternating` mirrors every other
 # cell, which takes away the bias of one diagonal direction

@@ -1,6 +1,6 @@
 """A recorded series, ours or that of any other program: replayed as Frames, and as an xarray dataset."""
 
 from pipeline.series.layout import Options
-from pipeline.series.recorded import Series, read_series
+from pipeline.series.series import Series, read_series
 
 __all__ = ["Options", "Series", "read_series"]

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pipeline.errors import MeshError, SeriesError
-from pipeline.measures import attributes, volumes_and_angles
 from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
+from pipeline.run.measures import attributes, volumes_and_angles
 
 if TYPE_CHECKING:
     import xarray
@@ -98,7 +98,7 @@ class SeriesAccessor:
 
         The frames are not synced: a loss of power soon afterwards may cost some. See dataset_to_pvd.
         """
-        from pipeline.series.writer import dataset_to_pvd  # it needs this module
+        from pipeline.series.dataset_writer import dataset_to_pvd  # it needs this module
 
         return dataset_to_pvd(self._dataset, path)
 

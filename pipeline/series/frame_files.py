@@ -7,10 +7,10 @@ from pathlib import Path
 from stat import S_ISREG
 
 from pipeline.errors import SeriesError
-from pipeline.foreign import grids
-from pipeline.foreign.claims import refusal
-from pipeline.foreign.grids import SUFFIXES, Grid
-from pipeline.foreign.reader import READER
+from pipeline.formats import vtk_readers as grids
+from pipeline.formats.preflight import refusal
+from pipeline.formats.sandbox import READER
+from pipeline.formats.vtk_readers import SUFFIXES, Grid
 
 __all__ = ["SUFFIXES", "Grid", "fault", "file_times", "read_grid"]
 
@@ -22,7 +22,7 @@ def read_grid(file: Path, step: int = 0, *, ours: bool = False) -> Grid:
     if ours:
         return grids.read_grid(file, step)
     _check(file)
-    return Grid(*READER.read("pipeline.foreign.grids:plain_grid", file, step, error=SeriesError))
+    return Grid(*READER.read("pipeline.formats.vtk_readers:plain_grid", file, step, error=SeriesError))
 
 
 def file_times(file: Path) -> list[float] | None:
@@ -31,7 +31,7 @@ def file_times(file: Path) -> list[float] | None:
         told = grid.field_data.get("TimeValue")
         return None if told is None else [float(time) for time in told.ravel()]
     _check(file)
-    times: list[float] | None = READER.read("pipeline.foreign.grids:file_times", file, error=SeriesError)
+    times: list[float] | None = READER.read("pipeline.formats.vtk_readers:file_times", file, error=SeriesError)
     return times
 
 

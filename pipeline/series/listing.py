@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.errors import SeriesError, listed, shortened
-from pipeline.foreign.claims import leaving, refusal
+from pipeline.formats.preflight import leaving, refusal
 from pipeline.series.frame_files import SUFFIXES, fault, file_times
-from pipeline.series.own import is_own, unlisted
+from pipeline.series.run_folder import is_own, unlisted
 
 _TEMPORAL = (".vtkhdf", ".xdmf")
 _OWN = ("series.pvd", "series.vtkhdf")

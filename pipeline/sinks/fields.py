@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.frame import Frame, Values
-from pipeline.measures import VARIABLES, spatial
 from pipeline.mesh.simplex import Mesh
+from pipeline.run.frame import Frame, Values
+from pipeline.run.measures import VARIABLES, spatial
 
 CELL_TYPES = {2: 5, 3: 10}  # VTK's numbers of triangle and tetrahedron
 Precision = Literal["float64", "float32"]

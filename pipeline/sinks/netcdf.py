@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import OutputError
-from pipeline.frame import Frame, Values
-from pipeline.measures import AXES, QUANTILES, STEPS, VARIABLES, attributes
 from pipeline.mesh.simplex import Mesh
+from pipeline.run.frame import Frame, Values
+from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES, attributes
 
 _CHUNK = 256  # frames; the default of one would make a chunk, and its index entry, of every number
 _CELLS_CHUNK = 2048  # numbers of cells, where a frame has fewer: the index of chunks is kept in memory

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import OutputError
-from pipeline.frame import Frame, Values
+from pipeline.formats.atomic import whole_file
 from pipeline.mesh.simplex import Mesh
-from pipeline.sinks.atomic import whole_file
+from pipeline.run.frame import Frame, Values
 from pipeline.sinks.fields import CELL_TYPES, Fields, Precision, frame_fields, rest_positions
 
 _ROOM = 64  # frames, where nobody says how many will come; doubled when they are more

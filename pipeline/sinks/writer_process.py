@@ -19,9 +19,9 @@ from traceback import format_exception
 from typing import IO, Any
 
 from pipeline.errors import OutputError, shortened
-from pipeline.frame import Frame, Sink
 from pipeline.mesh.simplex import Mesh
-from pipeline.run import OnFrame, Recording, RunSummary
+from pipeline.run.frame import Frame, Sink
+from pipeline.run.frames import OnFrame, Recording, RunSummary
 
 # cells: below, a frame costs the solver more to hand over than to write (measured from 192 on)
 WORTH_A_PROCESS = 1000

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from math import atan, hypot, log
 
 from pipeline.fem.body import Body
-from pipeline.stepping.implicit import Stage, StageSolver
 from pipeline.stepping.inversion import Treatment, tracked_rotations
+from pipeline.stepping.stage import Stage, StageSolver
 from pipeline.stepping.state import State, Work
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from pipeline.fem.body import Body
 from pipeline.mesh.simplex import Floats
 from pipeline.stepping.backward_euler import BackwardEuler
-from pipeline.stepping.implicit import Stage, StageSolver
 from pipeline.stepping.inversion import Treatment, tracked_rotations
+from pipeline.stepping.stage import Stage, StageSolver
 from pipeline.stepping.state import State, Work
 
 

@@ -22,9 +22,9 @@ import numpy as np
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Tangent
+from pipeline.linear.choice import LinearSolver
 from pipeline.mesh.simplex import Floats
-from pipeline.stepping.implicit import Stage, StageSystem, reached
-from pipeline.stepping.linear_solve import LinearSolver
+from pipeline.stepping.stage import Stage, StageSystem, reached
 from pipeline.stepping.state import Work
 
 _PREDICTOR_ITERATIONS = 30  # where the predictor is good it needs 3 to 6, in fast spin about a generic axis 16 to 30

@@ -29,7 +29,7 @@ class SymplecticEuler:
     treatment: Treatment | None = None
 
     def __post_init__(self) -> None:
-        from pipeline.stepping.kernels import kick
+        from pipeline.linear.kernels.vectors import kick
 
         self._kick = kick
         self._dt_over_mass = self.dt / self.body.lumped_mass

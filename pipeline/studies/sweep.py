@@ -21,9 +21,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pipeline.errors import PipelineError, shown
-from pipeline.record_keeping import folder_lock
-from pipeline.sinks.atomic import write_whole
-from pipeline.version import VERSION
+from pipeline.formats.atomic import write_whole
+from pipeline.results.resume import folder_lock
+from pipeline.system.version import VERSION
 
 Result = dict[str, Any]
 Task = Callable[[Mapping[str, Any]], Result]

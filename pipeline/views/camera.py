@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.mesh.simplex import Floats
-from pipeline.views.motion import Track, drawn_points
+from pipeline.views.track import Track, drawn_points
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from pipeline.sinks.atomic import write_whole
+from pipeline.formats.atomic import write_whole
 
 NAME = "open_in_paraview.py"
 _GAP = 0.25  # of a body's width, between two of them

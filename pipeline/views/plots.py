@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.errors import OutputError
+from pipeline.formats.atomic import whole_file
 from pipeline.mesh.simplex import Floats
-from pipeline.sinks.atomic import whole_file
 
 if TYPE_CHECKING:
     import xarray

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.campaign import run_campaign
 from pipeline.case import load_case
+from pipeline.results.run_case import run_campaign
 from pipeline.series import read_series
 from tests.bodies import PLANAR, without_figures, write_case
 

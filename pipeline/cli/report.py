@@ -1,0 +1,46 @@
+"""The verbs for a result as a web page: report, view."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from pipeline.cli.terminal import progress, say
+
+
+def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
+    """Add what writes and opens report.html."""
+    folder = argparse.ArgumentParser(add_help=False)
+    folder.add_argument("folder", metavar="FOLDER", type=Path, help="a result folder, such as outputs/bar")
+
+    report = verbs.add_parser("report", parents=[common, folder], help="write report.html: all of a result in one page")
+    report.set_defaults(run=_report)
+
+    view = verbs.add_parser("view", parents=[common, folder], help="open report.html, made first where it is missing")
+    view.add_argument("--no-open", action="store_true", help="only print where it is")
+    view.set_defaults(run=_view)
+
+
+def _report(options: argparse.Namespace) -> int:
+    from pipeline.results.report import report_of_folder
+
+    with progress(options.quiet) as bar:
+        path = report_of_folder(options.folder, bar.read)
+    if not options.quiet:
+        print(path)
+    return 0
+
+
+def _view(options: argparse.Namespace) -> int:
+    import webbrowser
+
+    from pipeline.results.report import REPORT, is_current, report_of_folder
+
+    path = options.folder / REPORT
+    if not is_current(options.folder):
+        with progress(options.quiet) as bar:
+            report_of_folder(options.folder, bar.read)
+    if not options.quiet:
+        print(path)
+    if not options.no_open and not webbrowser.open(path.absolute().as_uri()):
+        say(f"note: no browser could be started; open {path} in one")
+    return 0

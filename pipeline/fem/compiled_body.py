@@ -1,0 +1,206 @@
+"""Bodies whose sums over cells are compiled: those of the corotational and of the linear law."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from pipeline.fem.assembly import corners_by_row
+from pipeline.fem.body import Body
+from pipeline.fem.frame_error import Turning, indicator, spurious_volume
+from pipeline.fem.laws import CREASE, Corotational, Law, Linear, Tangent
+from pipeline.fem.rotation import gram_schmidt, polar
+from pipeline.fem.supports import Supports
+from pipeline.mesh.simplex import Floats, Mesh
+
+# of the corotational law, by the numbers that rotation_kernels.py has for them, and what the linear law has instead
+_ROTATIONS = (polar, gram_schmidt)
+_POLAR, _IDENTITY = 0, 2
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledBody(Body):
+    """The same numbers as Body, to rounding, from kernels.py and, in the plane, plane_kernels.py."""
+
+    @cached_property
+    def _rotation(self) -> int:
+        return _ROTATIONS.index(self.law.rotation) if isinstance(self.law, Corotational) else _IDENTITY
+
+    @cached_property
+    def _kernels(self) -> Any:
+        from pipeline.fem.kernels import tetrahedron as kernels
+        from pipeline.fem.kernels import triangle as plane_kernels
+
+        return kernels if self.mesh.dimension == 3 else plane_kernels
+
+    @cached_property
+    def _turning_kernels(self) -> Any:
+        from pipeline.fem.kernels import frame_error as turning_kernels
+        from pipeline.fem.kernels import triangle as plane_kernels
+
+        return turning_kernels if self.mesh.dimension == 3 else plane_kernels
+
+    @cached_property
+    def _tangent_kernels(self) -> Any:
+        from pipeline.fem.kernels import tangent as tangent_kernels
+        from pipeline.fem.kernels import triangle as plane_kernels
+
+        return tangent_kernels if self.mesh.dimension == 3 else plane_kernels
+
+    def __getstate__(self) -> dict[str, Any]:  # modules do not travel to another process
+        return {name: value for name, value in vars(self).items() if not isinstance(value, ModuleType)}
+
+    @cached_property
+    def _no_rotations(self) -> Floats:
+        return np.empty((0, self.mesh.dimension, self.mesh.dimension))
+
+    @cached_property
+    def _cells(self) -> tuple[Any, ...]:
+        """Return what kernels take after x: cells, gradients of all but their first corner, volumes, mu, lam.
+
+        The corners of a cell stand in the order of their rows, so that its blocks lie below the diagonal. In space
+        the gradients come in blocks of LANES cells (blocks, 9, LANES), entries first; the last cell fills the last one.
+        """
+        m, corners = self.material, corners_by_row(self.mesh, self.order)
+        cells = np.take_along_axis(self.mesh.cells, corners, axis=1)
+        G = np.take_along_axis(self.mesh.shape_gradients, corners[:, 1:, None], axis=1)
+        if self.mesh.dimension == 3:
+            lanes = self._kernels.LANES
+            filled = np.minimum(np.arange(-(-len(cells) // lanes) * lanes), len(cells) - 1)
+            cells, G = cells[filled], G[filled].reshape(-1, lanes, 9).swapaxes(1, 2).copy()
+        return (cells.astype(np.int32), G, self.mesh.rest_volumes, m.mu, m.lam)
+
+    @cached_property
+    def _pairs(self) -> np.ndarray:
+        return self.assembly.pairs.astype(np.int32)
+
+    def rehearse(self, *, solves: bool = True, turning: bool = False, tangents: bool = False) -> None:
+        """Call the kernels of a step on no cells: they are compiled, or loaded, here."""
+        super().rehearse(solves=solves)
+        cells, G, V, mu, lam = self._cells
+        X, none, nothing = _plain(self.mesh.points), (cells[:0], G[:0], V[:0], mu, lam), self._no_rotations
+        self._kernels.energy(X, *none, self._rotation)
+        f = np.empty_like(X)
+        if solves:
+            self._kernels.nodal_rotations(X, *none[:3], nothing)
+            self._kernels.linearise(X, *none, self._rotation, self._pairs[:0], 1.0, False, nothing, f, nothing)
+        if turning:
+            self._kernels.rotations(X, *none[:2], self._rotation, nothing)
+            self._turning_kernels.bounds(X, *none[:2], mu, lam)
+            self._turning_kernels.turning(X, *none[:2], mu, lam, nothing, nothing)
+        if tangents or not solves:
+            self._kernels.force(X, *none, self._rotation, f)
+        if tangents:
+            self._tangent_kernels.add_turning(X, *none, self._pairs[:0], 1.0, CREASE, False, nothing)
+
+    def energy(self, x: Floats) -> float:
+        """Return the elastic energy [J] at positions x (n, d)."""
+        return float(self._kernels.energy(_plain(x), *self._cells, self._rotation))
+
+    def rotations(self, x: Floats) -> Floats:
+        """Return the law's rotation of every cell (e, d, d)."""
+        R = np.empty((len(self.mesh.cells), *self._no_rotations.shape[1:]))
+        self.turn(x, R)
+        return R
+
+    def nodal_rotations(self, x: Floats, out: Floats | None = None) -> Floats:
+        """Return the polar rotation of each node's mean gradient (n, d, d), in `out` where that is given."""
+        R = np.empty((len(x), *self._no_rotations.shape[1:])) if out is None else out
+        self._kernels.nodal_rotations(_plain(x), *self._cells[:3], R)
+        return R
+
+    def turn(self, x: Floats, R: Floats) -> float:
+        """Write the law's rotations into R (e, d, d); return the spurious volume of the most turned one."""
+        return spurious_volume(self._kernels.rotations(_plain(x), *self._cells[:2], self._rotation, R), x.shape[1])
+
+    def turning(self, x: Floats, used: Floats | None, reached: Floats) -> Turning:
+        """Write the rotations at x into reached (e, d, d); return how far they are from those used, None for I."""
+        if self._rotation != _POLAR:
+            return super().turning(x, used, reached)
+        cells, G, _, mu, lam = self._cells
+        before, d = self._no_rotations if used is None else used, x.shape[1]
+        trace, stress, own = self._turning_kernels.turning(_plain(x), cells, G, mu, lam, before, reached)
+        return Turning(indicator(trace, d, stress, self.material), spurious_volume(own, d))
+
+    def turning_bound(self, x: Floats) -> float:
+        """Return what the indicator of turning(x, None) does not exceed, without finding rotations."""
+        if self._rotation != _POLAR:
+            return super().turning_bound(x)
+        cells, G, _, mu, lam = self._cells
+        tangent, stress = self._turning_kernels.bounds(_plain(x), cells, G, mu, lam)
+        cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, by that of its half
+        return indicator(2 * cosine + x.shape[1] - 2, x.shape[1], stress, self.material)
+
+    def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
+        """Return the elastic forces ON the nodes (n, d) [N]; with given rotations the plain way."""
+        if R is not None:
+            return super().force(x, R, out=out)
+        f = np.empty_like(x) if out is None else out
+        self._kernels.force(_plain(x), *self._cells, self._rotation, f)
+        return f
+
+    def add_stiffness(
+        self, x: Floats, scale: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
+    ) -> None:
+        """Write the elastic forces into f (n, d) and add scale * K to A (blocks, d, d)."""
+        if kind != "frozen" and (R is not None or self._rotation != _POLAR):
+            super().add_stiffness(x, scale, f, A, R=R, kind=kind)
+            return
+        x, used = _plain(x), self._no_rotations if R is None else _plain(R)
+        self._kernels.linearise(x, *self._cells, self._rotation, self._pairs, scale, R is not None, used, f, A)
+        if kind != "frozen":
+            projected = kind == "projected"
+            self._tangent_kernels.add_turning(x, *self._cells, self._pairs, scale, CREASE, projected, A)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearBody(CompiledBody):
+    """The same for the linear law: its forces are K (X - x), and no cell is visited again."""
+
+    @cached_property
+    def stiffness(self) -> Floats:
+        """Return the values of K (blocks, d, d) [N/m], summed over the cells once."""
+        return self.linearise(self.mesh.points)[1]
+
+    @cached_property
+    def _u(self) -> Floats:
+        return np.empty_like(self.mesh.points)
+
+    def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
+        """Return the elastic forces ON the nodes (n, d) [N], in `out` where that is given; R is not used."""
+        u = np.subtract(self.mesh.points, x, out=self._u)
+        f = np.empty_like(x) if out is None else out
+        f[:] = self.product(self.stiffness, u)
+        return f
+
+    def energy(self, x: Floats) -> float:
+        """Return the elastic energy (x - X) . K (x - X) / 2 [J] at positions x (n, d)."""
+        u = np.subtract(x, self.mesh.points, out=self._u)
+        return 0.5 * float(np.vdot(u, self.product(self.stiffness, u)))
+
+    def rehearse(self, *, solves: bool = True, turning: bool = False, tangents: bool = False) -> None:
+        """Sum the stiffness; have its product loaded, or compiled."""
+        self.momentum(np.zeros_like(self.mesh.points))
+        self.energy(self.mesh.points)
+
+
+def _plain(x: Floats) -> Floats:
+    """Return x as the one kind of array that kernels are compiled for: contiguous and writable."""
+    if x.flags.carray and x.dtype == np.float64:  # np.require takes microseconds to find that out
+        return x
+    return np.require(x, np.float64, ["C", "W"])
+
+
+def make_body(
+    mesh: Mesh, law: Law, supports: Supports, load: Floats, mass_pairs: Callable[[Mesh, float], Floats]
+) -> Body:
+    """Return the body that is fastest for a law; a law that is none of ours has the plain one."""
+    kind = Body
+    if isinstance(law, Linear):
+        kind = LinearBody
+    elif isinstance(law, Corotational) and law.rotation in _ROTATIONS:
+        kind = CompiledBody
+    return kind(mesh, law, supports, load, mass_pairs)

@@ -1,0 +1,75 @@
+"""Compiled: how far rotations that a solve used are from those it reached; what `turning` in body.py says in numpy.
+
+Numba notices changes of this file, not of those whose functions are compiled into these: `make clean` after one.
+"""
+
+import numpy as np
+from numba import njit
+
+from pipeline.fem.kernels.rotation import LANES, _lanes, _load, _polar, _store
+from pipeline.fem.kernels.tetrahedron import _gradients, _stresses
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def turning(x, cells, G, mu, lam, used, reached):
+    """Write the polar rotations R into reached (e, 3, 3); return three numbers over all cells.
+
+    They are the least tr(U^T R), the largest |P(F,R) - P(F,U)|, and the least tr R; traces are NaN where x is. U are
+    the rotations `used` (e, 3, 3), or, where there are none, identities.
+    """
+    F, R, P, W, root, good, C = _lanes()
+    U, Q = np.zeros((9, LANES)), np.zeros((9, LANES))
+    U[0], U[4], U[8] = 1.0, 1.0, 1.0
+    least, largest, own, finite = 3.0, 0.0, 3.0, 0.0
+    for first in range(0, len(reached), LANES):
+        count = min(LANES, len(reached) - first)
+        _gradients(x, cells, G[first // LANES], first, P, F)
+        _polar(F, count, R, root, good, C)
+        if len(used) > 0:
+            _load(used, first, count, U)
+        _stresses(F, R, mu, lam, P, W)
+        _stresses(F, U, mu, lam, Q, W)
+        for l in range(count):
+            trace = apart = 0.0
+            for k in range(9):
+                trace += R[k, l] * U[k, l]
+                apart += (P[k, l] - Q[k, l]) ** 2
+            least, largest, own = min(least, trace), max(largest, apart), min(own, R[0, l] + R[4, l] + R[8, l])
+            finite += 0.0 * apart
+        _store(R, first, count, reached)
+    return least + finite, np.sqrt(largest), own + finite
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def bounds(x, cells, G, mu, lam):
+    """Return what tan(angle / 2) and |P(F,R) - P(F,I)| do not exceed in any cell, without finding R.
+
+    With S = sym F, the axial vector a of F - F^T, and s the largest eigenvalue of S, which is at most
+    tr S/3 + sqrt(2/3) |dev S|, Horn's equations give tan(angle / 2) <= |a| / (2 (tr S - s)) =: t.
+    With E = R^T F - I, |E| <= |F - I| =: h, and
+
+        |P(F,R) - P(F,I)| <= 4 mu (sqrt2 t^2 + t h) + 2 lam (sqrt6 t h + sqrt3 t^2 (2 + sqrt2 h)).
+    """
+    F, D = np.zeros((9, LANES)), np.zeros((9, LANES))
+    tangents, strains = np.zeros(LANES), np.zeros(LANES)
+    for first in range(0, len(cells), LANES):
+        _gradients(x, cells, G[first // LANES], first, D, F)
+        for l in range(LANES):
+            a0, a1, a2 = F[7, l] - F[5, l], F[2, l] - F[6, l], F[3, l] - F[1, l]
+            axial = a0 * a0 + a1 * a1 + a2 * a2
+            trace = F[0, l] + F[4, l] + F[8, l]
+            square = 0.0
+            for k in range(9):
+                square += F[k, l] * F[k, l]
+            symmetric = square - 0.5 * axial  # |S|^2
+            others = 2.0 / 3.0 * trace - np.sqrt(max(2.0 / 3.0 * (symmetric - trace * trace / 3.0), 0.0))
+            t2 = axial / (4.0 * others * others) if others > 0.0 else np.inf
+            tangents[l] = max(tangents[l], t2)
+            strains[l] = max(strains[l], square - 2.0 * trace + 3.0)  # |F - I|^2
+    t2, h2 = 0.0, 0.0
+    for l in range(LANES):
+        t2, h2 = max(t2, tangents[l]), max(h2, strains[l])
+    t, h = np.sqrt(t2), np.sqrt(h2)
+    apart = 4.0 * mu * (np.sqrt(2.0) * t * t + t * h)
+    apart += 2.0 * lam * (np.sqrt(6.0) * t * h + np.sqrt(3.0) * t * t * (2.0 + np.sqrt(2.0) * h))
+    return t, apart

@@ -1,0 +1,104 @@
+"""Compiled: what the exact tangent of the corotational law has beyond the frozen one; laws.py says it in numpy.
+
+    dF : dP = … + a . H a,   a = axial(R^T dF - dF^T R),   H = mu I + c A^-1,   A = tr(S) I - S
+
+whose factors mu + c / A_i are bounded, and left out if negative, where that is asked for. For dF = du (x) grad N_b, up
+to its sign, q . a = R (q x grad N_b) . du for every q. Numba notices changes of this file, not of
+kernels.py, whose functions are compiled into these: `make clean` after one.
+"""
+
+import numpy as np
+from numba import njit
+
+from pipeline.fem.kernels.rotation import LANES, _lanes, _polar, jacobi
+from pipeline.fem.kernels.tetrahedron import _gradients
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _stretch(F, R, lane, S):
+    """Write sym(R^T F) of a lane into S (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            S[i, j] = R[i, lane] * F[j, lane] + R[3 + i, lane] * F[3 + j, lane] + R[6 + i, lane] * F[6 + j, lane]
+    S[0, 1] = S[1, 0] = 0.5 * (S[0, 1] + S[1, 0])
+    S[0, 2] = S[2, 0] = 0.5 * (S[0, 2] + S[2, 0])
+    S[1, 2] = S[2, 1] = 0.5 * (S[1, 2] + S[2, 1])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _is_above(A, least):
+    """Return whether the eigenvalues of the symmetric A (3, 3) are above a number: by the minors of A - least I."""
+    a, b, c = A[0, 0] - least, A[1, 1] - least, A[2, 2] - least
+    d, e, f = A[0, 1], A[0, 2], A[1, 2]
+    return a > 0.0 and a * b - d * d > 0.0 and a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e) > 0.0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _factors(A, mu, c, crease, projected, Q, H):
+    """Write H (3, 3) of A, which is overwritten; Q is scratch."""
+    least = max(abs(c) / (crease * mu), 2.2250738585072014e-308)
+    if _is_above(A, max(least, -c / mu) if projected else least):  # nothing to bound or to leave out
+        a, b, d = A[1, 1] * A[2, 2] - A[1, 2] ** 2, A[0, 0] * A[2, 2] - A[0, 2] ** 2, A[0, 0] * A[1, 1] - A[0, 1] ** 2
+        e, f = A[0, 2] * A[1, 2] - A[0, 1] * A[2, 2], A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1]
+        g = A[0, 1] * A[0, 2] - A[0, 0] * A[1, 2]
+        s = c / (A[0, 0] * a + A[0, 1] * e + A[0, 2] * f)
+        H[0, 0], H[1, 1], H[2, 2] = mu + s * a, mu + s * b, mu + s * d
+        H[0, 1], H[0, 2], H[1, 2] = s * e, s * f, s * g
+        H[1, 0], H[2, 0], H[2, 1] = s * e, s * f, s * g
+        return
+    jacobi(A, Q)
+    H[:] = 0.0
+    for m in range(3):
+        factor = mu + c / max(A[m, m], least)
+        if not (projected and factor <= 0.0):
+            for i in range(3):
+                for j in range(3):
+                    H[i, j] += factor * Q[i, m] * Q[j, m]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _turned_gradients(G, R, lane, w):
+    """Write R (q x grad N_b) of the four corners and of q = e_0, e_1, e_2, columns, into w (4, 3, 3); sums are zero."""
+    for i in range(3):
+        r0, r1, r2 = R[3 * i, lane], R[3 * i + 1, lane], R[3 * i + 2, lane]
+        for b in range(3):
+            g0, g1, g2 = G[3 * b, lane], G[3 * b + 1, lane], G[3 * b + 2, lane]
+            w[b + 1, i, 0], w[b + 1, i, 1], w[b + 1, i, 2] = r2 * g1 - r1 * g2, r0 * g2 - r2 * g0, r1 * g0 - r0 * g1
+        for m in range(3):
+            w[0, i, m] = -(w[1, i, m] + w[2, i, m] + w[3, i, m])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
+    """Add scale times the term above to A (blocks, 3, 3); negative factors are left out if projected."""
+    F, R, _, _, root, good, C = _lanes()
+    S, Q, H, w = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3, 3))
+    for first in range(0, len(V), LANES):
+        count = min(LANES, len(V) - first)
+        _gradients(x, cells, G[first // LANES], first, R, F)
+        _polar(F, count, R, root, good, C)
+        for l in range(count):
+            _stretch(F, R, l, S)
+            trace = S[0, 0] + S[1, 1] + S[2, 2]
+            for i in range(3):
+                for j in range(3):
+                    S[i, j] = (trace if i == j else 0.0) - S[i, j]
+            _factors(S, mu, lam * (trace - 3.0) - 2.0 * mu, crease, projected, Q, H)
+            _turned_gradients(G[first // LANES], R, l, w)
+            _add_squares(scale * V[first + l], H, w, pairs[first + l], A)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _add_squares(factor, H, w, blocks, A):
+    """Add factor w_a H w_b^T to the ten blocks (a, b <= a) of a cell."""
+    k = 0
+    for a in range(4):
+        for b in range(a + 1):
+            block = A[blocks[k]]
+            k += 1
+            for i in range(3):
+                h0 = factor * (w[a, i, 0] * H[0, 0] + w[a, i, 1] * H[1, 0] + w[a, i, 2] * H[2, 0])
+                h1 = factor * (w[a, i, 0] * H[0, 1] + w[a, i, 1] * H[1, 1] + w[a, i, 2] * H[2, 1])
+                h2 = factor * (w[a, i, 0] * H[0, 2] + w[a, i, 1] * H[1, 2] + w[a, i, 2] * H[2, 2])
+                for j in range(3):
+                    block[i, j] += h0 * w[b, j, 0] + h1 * w[b, j, 1] + h2 * w[b, j, 2]

@@ -1,0 +1,187 @@
+"""Compiled kernels for tetrahedra under the corotational law, and the linear one, one thread.
+
+Each does in one pass over the cells what the numpy lines beside it in laws.py and element.py do in many; tests hold the
+two together. Compiled once a machine (cached beside this file), not once a run. `rotation` is POLAR,
+GRAM_SCHMIDT, or, for the linear law, IDENTITY.
+
+Cells are done LANES at once, entries first, as in rotation_kernels.py, which finds their rotations; gathering from
+nodes and scattering to them goes cell by cell.
+"""
+
+import numpy as np
+from numba import njit
+
+from pipeline.fem.kernels.rotation import LANES, _lanes, _load, _rotate, _store, polar_rotations
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _gradients(x, cells, G, first, D, F):
+    """Write F = sum_a (x_a - x_0) (x) grad N_a of LANES cells from `first` on into F (9, LANES).
+
+    G (9, LANES) are their gradients, entry 3 a + j that of corner a + 1; D (9, LANES) is scratch: the differences.
+    """
+    for l in range(LANES):
+        n0, n1, n2, n3 = cells[first + l, 0], cells[first + l, 1], cells[first + l, 2], cells[first + l, 3]
+        for i in range(3):
+            x0 = x[n0, i]
+            D[3 * i, l], D[3 * i + 1, l], D[3 * i + 2, l] = x[n1, i] - x0, x[n2, i] - x0, x[n3, i] - x0
+    for i in range(3):
+        for j in range(3):
+            for l in range(LANES):
+                F[3 * i + j, l] = D[3 * i, l] * G[j, l] + D[3 * i + 1, l] * G[3 + j, l] + D[3 * i + 2, l] * G[6 + j, l]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _stresses(F, R, mu, lam, P, W):
+    """Write P = R (2 mu e + lam tr(e) I), e = sym(R^T F) - I, into P (9, LANES) and the energy densities into W."""
+    for l in range(LANES):
+        e00 = R[0, l] * F[0, l] + R[3, l] * F[3, l] + R[6, l] * F[6, l] - 1.0
+        e11 = R[1, l] * F[1, l] + R[4, l] * F[4, l] + R[7, l] * F[7, l] - 1.0
+        e22 = R[2, l] * F[2, l] + R[5, l] * F[5, l] + R[8, l] * F[8, l] - 1.0
+        t01 = R[0, l] * F[1, l] + R[3, l] * F[4, l] + R[6, l] * F[7, l]
+        t02 = R[0, l] * F[2, l] + R[3, l] * F[5, l] + R[6, l] * F[8, l]
+        t12 = R[1, l] * F[2, l] + R[4, l] * F[5, l] + R[7, l] * F[8, l]
+        t10 = R[1, l] * F[0, l] + R[4, l] * F[3, l] + R[7, l] * F[6, l]
+        t20 = R[2, l] * F[0, l] + R[5, l] * F[3, l] + R[8, l] * F[6, l]
+        t21 = R[2, l] * F[1, l] + R[5, l] * F[4, l] + R[8, l] * F[7, l]
+        pressure = lam * (e00 + e11 + e22)
+        s00, s11, s22 = 2 * mu * e00 + pressure, 2 * mu * e11 + pressure, 2 * mu * e22 + pressure
+        s01, s02, s12 = mu * (t01 + t10), mu * (t02 + t20), mu * (t12 + t21)
+        W[l] = 0.5 * (s00 * e00 + s11 * e11 + s22 * e22 + s01 * (t01 + t10) + s02 * (t02 + t20) + s12 * (t12 + t21))
+        for i in range(0, 9, 3):
+            r0, r1, r2 = R[i, l], R[i + 1, l], R[i + 2, l]
+            P[i, l] = r0 * s00 + r1 * s01 + r2 * s02
+            P[i + 1, l] = r0 * s01 + r1 * s11 + r2 * s12
+            P[i + 2, l] = r0 * s02 + r1 * s12 + r2 * s22
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def energy(x, cells, G, V, mu, lam, rotation):
+    """Return sum V W(F)."""
+    F, R, P, W, root, good, C = _lanes()
+    total = 0.0
+    for first in range(0, len(V), LANES):
+        count = min(LANES, len(V) - first)
+        _gradients(x, cells, G[first // LANES], first, P, F)
+        _rotate(rotation, F, count, R, root, good, C)
+        _stresses(F, R, mu, lam, P, W)
+        for l in range(count):
+            total += V[first + l] * W[l]
+    return total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _scatter_force(cell, G, volume, P, lane, f):
+    """Add -V P grad N_a to the forces of the cell's corners; they sum to zero. G (9, LANES)."""
+    last0 = last1 = last2 = 0.0
+    for a in range(3):
+        g0, g1, g2 = G[3 * a, lane], G[3 * a + 1, lane], G[3 * a + 2, lane]
+        p0 = volume * (P[0, lane] * g0 + P[1, lane] * g1 + P[2, lane] * g2)
+        p1 = volume * (P[3, lane] * g0 + P[4, lane] * g1 + P[5, lane] * g2)
+        p2 = volume * (P[6, lane] * g0 + P[7, lane] * g1 + P[8, lane] * g2)
+        node = cell[a + 1]
+        f[node, 0] -= p0
+        f[node, 1] -= p1
+        f[node, 2] -= p2
+        last0, last1, last2 = last0 + p0, last1 + p1, last2 + p2
+    f[cell[0], 0] += last0
+    f[cell[0], 1] += last1
+    f[cell[0], 2] += last2
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def force(x, cells, G, V, mu, lam, rotation, f):
+    """Write f_a = -sum V P grad N_a into f (n, 3)."""
+    f[:] = 0.0
+    F, R, P, W, root, good, C = _lanes()
+    for first in range(0, len(V), LANES):
+        count = min(LANES, len(V) - first)
+        _gradients(x, cells, G[first // LANES], first, P, F)
+        _rotate(rotation, F, count, R, root, good, C)
+        _stresses(F, R, mu, lam, P, W)
+        for l in range(count):
+            _scatter_force(cells[first + l], G[first // LANES], V[first + l], P, l, f)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _scatter_stiffness(G, vm, vl, R, lane, blocks, g, A):
+    """Add vm (G_a . G_b) I + vm g_b g_a^T + vl g_a g_b^T, g = R G, to the ten blocks (a, b <= a) of a cell."""
+    for i in range(3):
+        r0, r1, r2 = R[3 * i, lane], R[3 * i + 1, lane], R[3 * i + 2, lane]
+        for a in range(3):
+            g[a + 1, i] = r0 * G[3 * a, lane] + r1 * G[3 * a + 1, lane] + r2 * G[3 * a + 2, lane]
+        g[0, i] = -(g[1, i] + g[2, i] + g[3, i])
+    k = 0
+    for a in range(4):
+        m0, m1, m2 = vm * g[a, 0], vm * g[a, 1], vm * g[a, 2]
+        l0, l1, l2 = vl * g[a, 0], vl * g[a, 1], vl * g[a, 2]
+        for b in range(a + 1):
+            b0, b1, b2 = g[b, 0], g[b, 1], g[b, 2]
+            dot = m0 * b0 + m1 * b1 + m2 * b2
+            block = A[blocks[k]]
+            k += 1
+            block[0, 0] += dot + (m0 + l0) * b0
+            block[0, 1] += b0 * m1 + l0 * b1
+            block[0, 2] += b0 * m2 + l0 * b2
+            block[1, 0] += b1 * m0 + l1 * b0
+            block[1, 1] += dot + (m1 + l1) * b1
+            block[1, 2] += b1 * m2 + l1 * b2
+            block[2, 0] += b2 * m0 + l2 * b0
+            block[2, 1] += b2 * m1 + l2 * b1
+            block[2, 2] += dot + (m2 + l2) * b2
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def linearise(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
+    """Write forces into f (n, 3), add scale times the frozen stiffness to A (blocks, 3, 3).
+
+    The rotations are Rs (e, 3, 3) if given, else those of x.
+    """
+    f[:] = 0.0
+    F, R, P, W, root, good, C = _lanes()
+    g = np.empty((4, 3))
+    for first in range(0, len(V), LANES):
+        count = min(LANES, len(V) - first)
+        _gradients(x, cells, G[first // LANES], first, P, F)
+        if given:
+            _load(Rs, first, count, R)
+        else:
+            _rotate(rotation, F, count, R, root, good, C)
+        _stresses(F, R, mu, lam, P, W)
+        for l in range(count):
+            e = first + l
+            _scatter_force(cells[e], G[first // LANES], V[e], P, l, f)
+            _scatter_stiffness(G[first // LANES], scale * V[e] * mu, scale * V[e] * lam, R, l, pairs[e], g, A)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def rotations(x, cells, G, rotation, R):
+    """Write the rotation of every cell's F into R (e, 3, 3); return the least trace of them."""
+    F, Q, _, _, root, good, C = _lanes()
+    least = 3.0
+    for first in range(0, len(R), LANES):
+        count = min(LANES, len(R) - first)
+        _gradients(x, cells, G[first // LANES], first, Q, F)
+        _rotate(rotation, F, count, Q, root, good, C)
+        _store(Q, first, count, R)
+        for l in range(count):
+            least = min(least, Q[0, l] + Q[4, l] + Q[8, l])
+    return least
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def nodal_rotations(x, cells, G, V, R):
+    """Write into R (n, 3, 3) the polar rotation of each node's sum of V F."""
+    R[:] = 0.0
+    F, D = np.zeros((9, LANES)), np.zeros((9, LANES))
+    for first in range(0, len(V), LANES):
+        count = min(LANES, len(V) - first)
+        _gradients(x, cells, G[first // LANES], first, D, F)
+        for l in range(count):
+            e = first + l
+            for a in range(4):
+                node = R[cells[e, a]]
+                for i in range(3):
+                    for j in range(3):
+                        node[i, j] += V[e] * F[3 * i + j, l]
+    polar_rotations(R, R)

@@ -1,0 +1,225 @@
+r"""Compiled kernels for triangles under the corotational law, by the names that tetrahedra have.
+
+In the plane everything is short enough to write out cell by cell. With F = [[a, b], [c, d]] the polar rotation is
+that of the vector (a + d, c - b). Arguments are those of kernels.py, turning_kernels.py and tangent_kernels.py.
+"""
+
+import numpy as np
+from numba import njit
+
+from pipeline.fem.kernels.rotation import GRAM_SCHMIDT, POLAR
+
+_NULL = 1e-14  # as in rotation.py: below this part of F the vector is rounding, and the rotation the identity
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _gradient(x, cells, G, e):
+    """Return the four entries of F = sum_a (x_a - x_0) (x) grad N_a."""
+    i, j, k = cells[e, 0], cells[e, 1], cells[e, 2]
+    x1, y1, x2, y2 = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[k, 0] - x[i, 0], x[k, 1] - x[i, 1]
+    return (
+        x1 * G[e, 0, 0] + x2 * G[e, 1, 0],
+        x1 * G[e, 0, 1] + x2 * G[e, 1, 1],
+        y1 * G[e, 0, 0] + y2 * G[e, 1, 0],
+        y1 * G[e, 0, 1] + y2 * G[e, 1, 1],
+    )
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _polar(F):
+    """Return cosine and sine of the rotation closest to F."""
+    a, b, c, d = F
+    cosine, sine = a + d, c - b
+    length = np.hypot(cosine, sine)
+    if not length > _NULL * max(max(abs(a), abs(b)), max(abs(c), abs(d))):
+        return 1.0, 0.0
+    return cosine / length, sine / length
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _rotation(rotation, F):
+    """Return cosine and sine of the rotation POLAR, GRAM_SCHMIDT or IDENTITY of F."""
+    if rotation == POLAR:
+        return _polar(F)
+    a, b, c, d = F
+    length = np.hypot(a, c)  # of the first column, which Gram-Schmidt's has along x
+    if rotation != GRAM_SCHMIDT or not length > _NULL**2 * max(abs(b), abs(d)):
+        return 1.0, 0.0
+    return a / length, c / length
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _stress(F, R, mu, lam):
+    """Return the four entries of P = R (2 mu e + lam tr(e) I), e = sym(R^T F) - I, and the energy density."""
+    (a, b, c, d), (cosine, sine) = F, R
+    e00, e11 = cosine * a + sine * c - 1.0, cosine * d - sine * b - 1.0
+    e01 = 0.5 * (cosine * b + sine * d - sine * a + cosine * c)
+    pressure = lam * (e00 + e11)
+    s00, s11, s01 = 2 * mu * e00 + pressure, 2 * mu * e11 + pressure, 2 * mu * e01
+    W = 0.5 * (s00 * e00 + s11 * e11 + 2 * s01 * e01)
+    return cosine * s00 - sine * s01, cosine * s01 - sine * s11, sine * s00 + cosine * s01, sine * s01 + cosine * s11, W
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _given(R, e):
+    return R[e, 0, 0], R[e, 1, 0]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _store(R, e, rotation):
+    cosine, sine = rotation
+    R[e, 0, 0], R[e, 0, 1], R[e, 1, 0], R[e, 1, 1] = cosine, -sine, sine, cosine
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def energy(x, cells, G, V, mu, lam, rotation):
+    """Return sum V W(F)."""
+    total = 0.0
+    for e in range(len(cells)):
+        F = _gradient(x, cells, G, e)
+        total += V[e] * _stress(F, _rotation(rotation, F), mu, lam)[4]
+    return total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _scatter_force(cell, G, volume, P, f):
+    """Add -V P grad N_a to the forces of the cell's corners; they sum to zero."""
+    p00, p01, p10, p11, _ = P
+    for a in range(2):
+        x, y = volume * (p00 * G[a, 0] + p01 * G[a, 1]), volume * (p10 * G[a, 0] + p11 * G[a, 1])
+        f[cell[a + 1], 0] -= x
+        f[cell[a + 1], 1] -= y
+        f[cell[0], 0] += x
+        f[cell[0], 1] += y
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def force(x, cells, G, V, mu, lam, rotation, f):
+    """Write f_a = -sum V P grad N_a into f (n, 2)."""
+    f[:] = 0.0
+    for e in range(len(cells)):
+        F = _gradient(x, cells, G, e)
+        _scatter_force(cells[e], G[e], V[e], _stress(F, _rotation(rotation, F), mu, lam), f)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def linearise(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
+    """Write forces into f (n, 2), add scale times the frozen stiffness to A (blocks, 2, 2).
+
+    A cell gives V mu ((G_a . G_b) I + g_b g_a^T) + V lam g_a g_b^T, g = R G, to the block (a, b <= a). The rotations
+    are Rs (e, 2, 2) if given, else those of x.
+    """
+    f[:] = 0.0
+    g = np.empty((3, 2))
+    for e in range(len(cells)):
+        F = _gradient(x, cells, G, e)
+        R = _given(Rs, e) if given else _rotation(rotation, F)
+        _scatter_force(cells[e], G[e], V[e], _stress(F, R, mu, lam), f)
+        _turned(G[e], R[0], R[1], g)
+        vm, vl, k = scale * V[e] * mu, scale * V[e] * lam, 0
+        for a in range(3):
+            for b in range(a + 1):
+                block = A[pairs[e, k]]
+                k += 1
+                dot = vm * (g[a, 0] * g[b, 0] + g[a, 1] * g[b, 1])
+                for i in range(2):
+                    block[i, i] += dot
+                    for j in range(2):
+                        block[i, j] += vm * g[b, i] * g[a, j] + vl * g[a, i] * g[b, j]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _turned(G, cosine, sine, g):
+    """Write R G of the three corners into g (3, 2); they sum to zero."""
+    for a in range(2):
+        g[a + 1, 0] = cosine * G[a, 0] - sine * G[a, 1]
+        g[a + 1, 1] = sine * G[a, 0] + cosine * G[a, 1]
+    g[0, 0], g[0, 1] = -(g[1, 0] + g[2, 0]), -(g[1, 1] + g[2, 1])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
+    """Add scale times what the exact tangent has beyond the frozen one to A; negative factors not if projected.
+
+    It is (mu + c / tr S) w_a w_b^T, w_a = R W grad N_a with the quarter turn W, c = lam (tr S - 2) - 2 mu.
+    """
+    w = np.empty((3, 2))
+    for e in range(len(cells)):
+        F = _gradient(x, cells, G, e)
+        cosine, sine = _polar(F)
+        trace = cosine * (F[0] + F[3]) + sine * (F[2] - F[1])
+        c = lam * (trace - 2.0) - 2.0 * mu
+        factor = mu + c / max(trace, max(abs(c) / (crease * mu), 2.2250738585072014e-308))
+        if projected and factor <= 0.0:
+            continue
+        _turned(G[e], -sine, cosine, w)
+        k = 0
+        for a in range(3):
+            for b in range(a + 1):
+                for i in range(2):
+                    for j in range(2):
+                        A[pairs[e, k], i, j] += scale * V[e] * factor * w[a, i] * w[b, j]
+                k += 1
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def rotations(x, cells, G, rotation, R):
+    """Write the rotation of every cell's F into R (e, 2, 2); return the least trace of them."""
+    least = 2.0
+    for e in range(len(cells)):
+        found = _rotation(rotation, _gradient(x, cells, G, e))
+        _store(R, e, found)
+        least = min(least, 2.0 * found[0])
+    return least
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def nodal_rotations(x, cells, G, V, R):
+    """Write into R (n, 2, 2) the polar rotation of each node's sum of V F."""
+    R[:] = 0.0
+    for e in range(len(cells)):
+        F = _gradient(x, cells, G, e)
+        for a in range(3):
+            for k in range(4):
+                R[cells[e, a], k // 2, k % 2] += V[e] * F[k]
+    for n in range(len(R)):
+        _store(R, n, _polar((R[n, 0, 0], R[n, 0, 1], R[n, 1, 0], R[n, 1, 1])))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _apart(F, R, U, mu, lam):
+    """Return |P(F,R) - P(F,U)|^2."""
+    P, Q = _stress(F, R, mu, lam), _stress(F, U, mu, lam)
+    return (P[0] - Q[0]) ** 2 + (P[1] - Q[1]) ** 2 + (P[2] - Q[2]) ** 2 + (P[3] - Q[3]) ** 2
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def turning(x, cells, G, mu, lam, used, reached):
+    """Write the polar rotations R into reached (e, 2, 2); return three numbers over all cells.
+
+    They are the least tr(U^T R), the largest |P(F,R) - P(F,U)|, and the least tr R; traces are NaN where x is. U are
+    the rotations `used` (e, 2, 2), or, where there are none, identities.
+    """
+    least, largest, own, finite = 2.0, 0.0, 2.0, 0.0
+    for e in range(len(cells)):
+        F = _gradient(x, cells, G, e)
+        R = _polar(F)
+        U = _given(used, e) if len(used) > 0 else (1.0, 0.0)
+        least = min(least, 2.0 * (R[0] * U[0] + R[1] * U[1]))
+        apart = _apart(F, R, U, mu, lam)
+        largest, own, finite = max(largest, apart), min(own, 2.0 * R[0]), finite + 0.0 * apart
+        _store(reached, e, R)
+    return least + finite, np.sqrt(largest), own + finite
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def bounds(x, cells, G, mu, lam):
+    """Return the largest tan(angle / 2) and |P(F,R) - P(F,I)|: in the plane R is so cheap that they are no bounds."""
+    tangent, largest, finite = 0.0, 0.0, 0.0
+    for e in range(len(cells)):
+        F = _gradient(x, cells, G, e)
+        R = _polar(F)
+        tangent = max(tangent, abs(R[1]) / (1.0 + R[0]) if R[0] > -1.0 else np.inf)
+        apart = _apart(F, R, (1.0, 0.0), mu, lam)
+        largest, finite = max(largest, apart), finite + 0.0 * apart
+    return tangent + finite, np.sqrt(largest)

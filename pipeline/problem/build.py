@@ -1,0 +1,162 @@
+"""Case -> Problem: every name looked up, every vector and node set checked, the body and its start made."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pipeline.case import Case, MethodSpec
+from pipeline.errors import MeshError, listed, shown
+from pipeline.fem.body import Body
+from pipeline.fem.compiled_body import make_body
+from pipeline.fem.laws import Corotational
+from pipeline.fem.material import Material
+from pipeline.linear.pardiso import library
+from pipeline.mesh.files import read_mesh
+from pipeline.mesh.simplex import Mesh, component_labels
+from pipeline.problem.conditions import dead_load, initial_state, supports
+from pipeline.problem.methods import INVERSIONS, LAWS, LINEAR_SOLVERS, MASSES, ROTATIONS, SHAPES, STEP_LIMITS, STEPPERS
+from pipeline.stepping.state import State, Stepper
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A body, its method, its start and its schedule: all that `frames` needs."""
+
+    name: str
+    body: Body
+    method: MethodSpec
+    start: State
+    dt: float
+    steps_per_frame: int
+    frames: int
+    notes: tuple[str, ...] = ()
+
+    def prepare(self) -> Stepper:
+        """Return the stepper, ready to step: matrices factored, limits checked."""
+        return STEPPERS[self.method.stepper](self.body, self.dt, self.method)
+
+
+def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
+    """Return the problem that a resolved case (or one with a single variant) describes.
+
+    A mesh that is given takes the place of the case's own.
+    Raises CaseError where a name is unknown, a vector has the wrong length, a selection is empty or everything is
+    held, and MeshError where the mesh cannot be simulated.
+    """
+    if case.variant_name is None and len(case.variant_names) == 1:
+        case = case.variant(case.variant_names[0])
+    elif case.variant_name is None:
+        raise case.error("variants", f"choose one with case.variant(name): {listed(case.variant_names)}")
+    case = settled(case)
+    _check_method(case)
+    mesh_notes: list[str] = []
+    mesh = build_mesh(case, note=mesh_notes.append) if mesh is None else mesh
+    m = case.material
+    material = Material(m.youngs_modulus, m.poisson_ratio, m.density)
+    auto = case.method.model == "auto"
+    law = Corotational(material) if auto else LAWS[case.method.law](material, ROTATIONS[case.method.rotation])
+    body = make_body(mesh, law, supports(case, mesh), dead_load(case, mesh), MASSES[case.method.mass])
+    if not body.free.size:
+        raise case.error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
+    _check_step(case, body)
+    s = case.schedule
+    start = initial_state(case, body)
+    name = f"{case.name}/{case.variant_name}"
+    return Problem(name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, _notes(case, mesh, mesh_notes))
+
+
+def build_mesh(case: Case, *, note: Callable[[str], object] | None = None) -> Mesh:
+    """Return the rest mesh of a case, each clean-up of a file told to `note`; raises CaseError or MeshError."""
+    spec = case.mesh
+    try:
+        if spec.shape is None:
+            assert case.mesh_path is not None
+            return read_mesh(case.mesh_path, spec.scale, note=note)
+        assert spec.size is not None and spec.cells is not None
+        return SHAPES[_chosen(case, "mesh.shape", spec.shape, SHAPES)](spec.size, spec.cells, spec.split)
+    except MeshError as error:
+        raise case.error("mesh", str(error)) from error
+
+
+def settled(case: Case) -> Case:
+    """Return a resolved case with what its stepper decides written out: symplectic Euler takes lumped mass."""
+    method = case.method
+    if method.stepper != "symplectic_euler" or method.mass == "lumped":
+        return case
+    inherited = "method.stepper" in case.own_keys and "method.mass" not in case.own_keys
+    if "mass" in method.model_fields_set and not inherited:
+        raise case.error("method.mass", "symplectic_euler takes 'lumped'")
+    note = "method.mass is lumped, as symplectic_euler takes it"
+    lumped = method.model_copy(update={"mass": "lumped"})
+    return case.model_copy(update={"method": lumped, "notes": (*case.notes, note)})
+
+
+def _check_method(case: Case) -> None:
+    """Raise CaseError for a name that is in no table, and for parts that do not go together."""
+    method = case.method
+    tables: Mapping[str, Mapping[str, Any]] = {
+        "law": LAWS,
+        "rotation": ROTATIONS,
+        "stepper": STEPPERS,
+        "linear_solver": {"auto": None, **LINEAR_SOLVERS},
+        "mass": MASSES,
+        "inversion": INVERSIONS,
+    }
+    for key, table in tables.items():
+        _chosen(case, f"method.{key}", getattr(method, key), table)
+    if method.model == "auto":
+        if method.stepper in STEP_LIMITS or method.inversion != "flip":
+            raise case.error("method.model", "'auto' goes with implicit steppers and inversion = 'flip'")
+        return
+    if INVERSIONS[method.inversion] is not None and (
+        method.law == "linear" or method.rotation != "polar" or method.iterations != 1
+    ):
+        needed = "the corotational law with polar rotations and iterations = 1"
+        raise case.error("method.inversion", f"{method.inversion!r} has a memory: it goes with {needed}")
+    if method.law == "linear" or method.stepper in STEP_LIMITS:
+        return
+    if method.iterations == "converged" and method.rotation != "polar":
+        raise case.error(
+            "method.iterations", f"'converged' needs a potential, which {method.rotation} has not; use polar"
+        )
+
+
+def _check_step(case: Case, body: Body) -> None:
+    """Raise CaseError where the stepper has a limit and dt is above it."""
+    if case.method.stepper not in STEP_LIMITS:
+        return
+    bound_of, limit_of = STEP_LIMITS[case.method.stepper]
+    dt, bound = case.schedule.dt, bound_of(body)
+    if dt <= bound:
+        return
+    limit = limit_of(body)
+    if dt >= limit:
+        raise case.error(
+            "schedule.dt",
+            f"{dt:g} is above the limit of {case.method.stepper}: {limit:.4g} s for this body, "
+            f"{bound:.4g} s by the bound over its cells",
+        )
+
+
+def _chosen(case: Case, key: str, name: str, table: Mapping[str, Any]) -> str:
+    if name not in table:
+        raise case.error(key, f"{shown(name)} is not one of {', '.join(table)}")
+    return name
+
+
+def _notes(case: Case, mesh: Mesh, mesh_notes: Sequence[str]) -> tuple[str, ...]:
+    notes = [*case.notes, *mesh_notes]
+    unused = [key for key in ("law", "rotation", "iterations") if f"method.{key}" in case.own_keys]
+    if case.method.model == "auto" and unused:
+        notes.append(f"method.{', method.'.join(unused)} not used: method.model = 'auto' decides")
+    if case.method.law == "linear" and "method.rotation" in case.own_keys:
+        notes.append("method.rotation is not used by the linear law")
+    if case.method.linear_solver == "pardiso" and case.method.stepper not in STEP_LIMITS and library() is None:
+        notes.append(
+            "method.linear_solver = 'pardiso' needs the mkl package, which is not installed: superlu takes its place; "
+            "to have it: pip install 'corotational-pipeline[mkl]'"
+        )
+    pieces, _ = component_labels(mesh)
+    if pieces > 1:
+        notes.append(f"the mesh has {pieces} components")
+    return tuple(notes)

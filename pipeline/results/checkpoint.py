@@ -1,0 +1,108 @@
+"""Checkpoints: all that a run needs to go on bit for bit, checksummed, whole or absent, the last two kept.
+
+A file is a SHA-256 in hexadecimal, a line of JSON (step, work since the frame before, summary of the frames written)
+and an .npz of float64 arrays. It is written after a step and before that step's frame: every frame of an earlier step
+is on the disk then.
+"""
+
+import io
+import json
+import shutil
+import time
+import zipfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import OutputError
+from pipeline.formats.atomic import write_whole
+from pipeline.run.frames import RunSummary
+from pipeline.stepping.state import State, Work
+
+_KEPT = 2
+_MEMORY = "memory."
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A state, the work since the frame before it, and the summary of the frames written."""
+
+    state: State
+    work: Work
+    summary: RunSummary
+
+
+class CheckpointFolder:
+    """Keeps the last two checkpoints of a run in a folder, one at most every so many seconds."""
+
+    def __init__(self, folder: Path, *, seconds: float) -> None:
+        self.folder = Path(folder)
+        self.seconds = seconds
+        self._since: float | None = None  # from the first step on: a set-up that compiles does not count
+
+    def due(self, solved: float) -> bool:
+        """Return whether the last one, or the first step's begin, is long enough ago; steps have taken `solved` [s]."""
+        now = time.monotonic()
+        if self._since is None:
+            self._since = now - solved
+        return now - self._since >= self.seconds
+
+    def write(self, checkpoint: Checkpoint) -> None:
+        """Write a checkpoint and remove all but the last two; raises OutputError."""
+        write_whole(self.folder / f"step_{checkpoint.state.step:09d}.checkpoint", encoded(checkpoint))
+        for old in self._paths()[_KEPT:]:
+            old.unlink(missing_ok=True)
+        self._since = time.monotonic()
+
+    def readable(self) -> Iterator[Checkpoint | str]:
+        """Yield the checkpoints, the last one first; in place of one that is damaged, a note that says so."""
+        for path in self._paths():
+            try:
+                yield decoded(path.read_bytes())
+            except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+                yield f"{path}: damaged ({error}); the checkpoint before it is used instead"
+
+    def remove(self) -> None:
+        """Remove the folder: a run that ended needs none."""
+        try:
+            if self.folder.exists():
+                shutil.rmtree(self.folder)
+        except OSError as error:
+            raise OutputError(f"{self.folder}: cannot be removed ({error.strerror})") from error
+
+    def _paths(self) -> list[Path]:
+        return sorted(self.folder.glob("step_*.checkpoint"), reverse=True)
+
+
+def encoded(checkpoint: Checkpoint) -> bytes:
+    """Return the bytes of a checkpoint file."""
+    state = checkpoint.state
+    arrays = {"x": state.x, "v": state.v} | {_MEMORY + name: value for name, value in state.memory.items()}
+    numbers = {"step": state.step, "work": asdict(checkpoint.work), "summary": asdict(checkpoint.summary)}
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **arrays)
+    # repr of a float, which JSON uses, gives the same float back
+    body = json.dumps(numbers).encode() + b"\n" + file.getvalue()
+    return sha256(body).hexdigest().encode() + b"\n" + body
+
+
+def decoded(data: bytes) -> Checkpoint:
+    """Return the checkpoint of a file's bytes; raises ValueError where they are not those that were written."""
+    checksum, _, body = data.partition(b"\n")
+    if sha256(body).hexdigest().encode() != checksum:
+        raise ValueError("its checksum is wrong")
+    line, _, archive = body.partition(b"\n")
+    numbers = json.loads(line)
+    with np.load(io.BytesIO(archive), allow_pickle=False) as arrays:
+        memory = {name.removeprefix(_MEMORY): arrays[name] for name in arrays.files if name.startswith(_MEMORY)}
+        state = State(numbers["step"], arrays["x"], arrays["v"], memory)
+    summary = numbers["summary"]
+    return Checkpoint(state, _work(numbers["work"]), RunSummary(**summary | {"work": _work(summary["work"])}))
+
+
+def _work(numbers: dict[str, Any]) -> Work:
+    return Work(**numbers | {"history": tuple(tuple(step) for step in numbers["history"])})

@@ -1,0 +1,138 @@
+"""Every finished variant of a case side by side: comparison.nc, plots and the movie."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.analysis.statistics import joined, read_statistics, write_dataset
+from pipeline.case import Case, load_case
+from pipeline.errors import OutputError, listed
+from pipeline.problem.build import settled
+from pipeline.results.variant import UNFINISHED, determining, read_run
+from pipeline.series import read_series
+from pipeline.sinks.frame_formats import FORMATS
+from pipeline.views.paraview import NAME as SCRIPT
+from pipeline.views.paraview import write_script
+
+if TYPE_CHECKING:
+    import xarray
+
+DRAWN = ("comparison.mp4", "comparison.png")
+_EFFORT = "effort.png"  # where a variant has model = "auto"
+
+
+def compare(
+    case: Case,
+    folder: Path,
+    *,
+    movie: bool,
+    fresh: bool = True,
+    on_drawing: Callable[[int, int], None] | None = None,
+) -> tuple[list[Path], list[str]]:
+    """Join and draw every variant in the folder that is a result of this case; return the files made and notes."""
+    runs = {name: run for name, run in recorded(case, folder).items() if run["status"] not in UNFINISHED}
+    usable = list(runs)
+    if not usable:
+        return [], ["no variant left a frame: nothing to compare"]
+    paths = {
+        n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png", SCRIPT)
+    }
+    if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in DRAWN):
+        return [], []
+    for stale in (*DRAWN, _EFFORT):
+        (folder / stale).unlink(missing_ok=True)
+    title = case.movie.title or case.name.replace("_", " ")
+    statistics = {name: read_statistics(folder / name / "statistics.nc") for name in usable}
+    dataset, notes = joined(statistics, title=title)
+    write_dataset(dataset, paths["comparison.nc"])
+    from pipeline.views.plots import effort_figure, energy_figure, volume_figure
+
+    volume_figure(dataset, paths["volume.png"], title=title)
+    energy_figure(dataset, paths["energy.png"], title=title)
+    made = [paths["comparison.nc"], paths["volume.png"], paths["energy.png"]]
+    if chosen := {name: one for name, one in statistics.items() if one.sizes.get("step")}:
+        effort_figure(chosen, folder / _EFFORT, title="The model that each step needed")
+        made.append(folder / _EFFORT)
+    made.append(_paraview(folder, dataset, {n: str(run["case"]["output"]["format"]) for n, run in runs.items()}))
+    shown = [name for name in case.movie.variants if name in usable]
+    if movie and shown:
+        try:
+            draw_movie(case, folder, shown, on_drawing=on_drawing)
+            made += [paths["comparison.mp4"], paths["comparison.png"]]
+        except OutputError as error:
+            notes.append(str(error))
+    return made, notes
+
+
+def _paraview(folder: Path, dataset: "xarray.Dataset", formats: Mapping[str, str]) -> Path:
+    """Write the script that shows the variants in ParaView, all in the colours of one range."""
+    from pipeline.views.track import SAMPLED_CELLS, radius_of
+
+    ratio = dataset["volume_ratio"].values[..., :: max(1, dataset.sizes["cell"] // SAMPLED_CELLS)]
+    indices = {name: f"{name}/{FORMATS[formats[name]].index}" for name in formats}
+    return write_script(folder, indices, radius=radius_of(abs(ratio - 1)))
+
+
+def draw_movie(
+    case: Case, folder: Path, shown: Sequence[str], *, on_drawing: Callable[[int, int], None] | None = None
+) -> Path:
+    """Draw comparison.mp4 and comparison.png of the variants' recorded frames; raises OutputError without OpenGL."""
+    from pipeline.views.movie.movie import write_movie
+
+    path = folder / "comparison.mp4"
+    write_movie(
+        [replace(read_series(folder / name), name=name) for name in shown],
+        [name.replace("_", " ") for name in shown],
+        path,
+        title=case.movie.title or case.name.replace("_", " "),
+        poster=folder / "comparison.png",
+        speed=case.movie.speed,
+        fps=case.movie.fps,
+        size=(case.movie.size[0], case.movie.size[1]),
+        on_frame=on_drawing,
+    )
+    return path
+
+
+def recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
+    """Return run.json of every variant that has frames of this very case, by name."""
+    runs = {name: read_run(folder / name) for name in case.variant_names}
+    return {
+        name: run for name, run in runs.items() if _has_frames(run, folder / name) and _is_of(run, case, folder / name)
+    }
+
+
+def _has_frames(run: dict[str, Any], folder: Path) -> bool:
+    """Return whether there is a frame; a killed run has not said how many."""
+    return bool(run) and (bool(run.get("frames")) or any((folder / one.index).is_file() for one in FORMATS.values()))
+
+
+def _is_of(run: dict[str, Any], case: Case, folder: Path) -> bool:
+    """Return whether a variant's run is one of this case, which may be that in the result folder.
+
+    A mesh file is named relative to its case file, so from elsewhere by another text: the variant's own case.toml
+    tells which file it is.
+    """
+    wanted = determining(settled(case.variant(folder.name)))
+    if run["case"] == wanted:
+        return True
+    kept = folder / "case.toml"
+    if case.mesh_path is None or not kept.is_file():
+        return False
+    same = load_case(kept).mesh_path
+    return (
+        same is not None
+        and same.resolve() == case.mesh_path.resolve()
+        and run["case"] | {"mesh": run["case"]["mesh"] | {"file": wanted["mesh"]["file"]}} == wanted
+    )
+
+
+def movie_of_folder(folder: Path, *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
+    """Draw the movie of a result folder again, from its frames alone; raises PipelineError where it is not one."""
+    case = load_case(folder / "case.toml")
+    runs = recorded(case, folder)
+    shown = [name for name in case.movie.variants if name in runs]
+    if not shown:
+        raise OutputError(f"{folder}: none of {listed(case.movie.variants)} has a recorded frame of this case")
+    return draw_movie(case, folder, shown, on_drawing=on_drawing)

@@ -1,0 +1,122 @@
+"""A step that could not be computed: what the body looked like before it, where it was worst, and what may help."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import SolveError
+from pipeline.fem.element import deformation_gradient
+from pipeline.fem.rotation import angle, polar
+from pipeline.formats.atomic import write_whole
+from pipeline.mesh.simplex import Floats, quality
+from pipeline.problem.build import Problem
+from pipeline.problem.methods import STEP_LIMITS
+from pipeline.run.frame import Frame
+from pipeline.run.measures import measure, spatial
+from pipeline.series.dataset_writer import encoded
+from pipeline.stepping.state import State
+
+FILE = "failure.vtu"
+# one solve a step is off by 1/cos^2 of the angle that a cell turns in the step: 3 % at 10 degrees
+_TURN = 10.0
+_POOR = 0.1  # quality of a cell; a regular one has 1
+_MOST_DEGREES = 90.0  # of a cell in a step; beyond, an angle says nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Failure:
+    """The last state before the failing step, and its fields a cell (e,): what a file and a message tell."""
+
+    problem: Problem
+    state: State
+    volume_ratio: Floats
+    rotation_angle: Floats  # [degree]
+    energy_density: Floats  # [J/m3]
+    turn: Floats  # [degree] by which each cell turns in a step with the velocities there are
+    quality: Floats
+
+    @property
+    def worst(self) -> int:
+        """Return the cell whose volume ratio is farthest from one."""
+        return int(np.abs(self.volume_ratio - 1).argmax())
+
+    def message(self, error: SolveError) -> str:
+        """Return what happened, where, and the likeliest remedies, with their numbers, on one line."""
+        cell, step = self.worst, self.state.step
+        where = (
+            f"after step {step} {int((self.volume_ratio <= 0).sum())} of {len(self.volume_ratio)} cells are inverted, "
+            f"the worst, cell {cell}, has volume ratio {self.volume_ratio[cell]:.3g} and quality "
+            f"{self.quality[cell]:.2g} at rest; cells turn by up to {self.turn.max():.3g} degrees a step"
+        )
+        return f"{error}; {where}; {'; or '.join(self.remedies())} ({FILE} shows where)"
+
+    def remedies(self) -> list[str]:
+        """Return what may help, the likeliest first."""
+        method, dt = self.problem.method, self.problem.dt
+        out = []
+        if method.stepper in STEP_LIMITS:
+            bound, _ = STEP_LIMITS[method.stepper]
+            out.append(f"{method.stepper} is stable below {bound(self.problem.body):.3g} s at rest: take half of that")
+        else:
+            turn = min(float(self.turn.max()), _MOST_DEGREES)
+            shorter = dt * min(0.5, _TURN / turn if turn else 0.5)
+            out.append(f"try schedule.dt = {shorter:.2g}")
+            if method.model != "auto" and method.law != "linear" and method.iterations != "converged":
+                out.append('method.iterations = "converged" with method.rotation = "polar"')
+            elif method.iterations == "converged" and method.model != "auto":
+                out.append(f"method.max_iterations = {10 * method.max_iterations}")
+        poor = int(self.quality.argmin())
+        if self.quality[poor] < _POOR:
+            out.append(f"a better mesh: the quality of cell {poor} is {self.quality[poor]:.2g}, 1 is regular")
+        return out
+
+    def record(self) -> dict[str, Any]:
+        """Return the entry of run.json."""
+        worst = self.worst
+        return {
+            "file": FILE,
+            "step": self.state.step,
+            "time": self.state.step * self.problem.dt,
+            "inverted_count": int((self.volume_ratio <= 0).sum()),
+            "worst": {"cell": worst, "volume_ratio": float(self.volume_ratio[worst])},
+            "turn_a_step": float(self.turn.max()),
+            "worst_quality": {"cell": int(self.quality.argmin()), "quality": float(self.quality.min())},
+        }
+
+    def write(self, folder: Path, message: str) -> None:
+        """Write the state as failure.vtu, which no index lists; raises OutputError."""
+        import pyvista
+
+        mesh, state = self.problem.body.mesh, self.state
+        kind = pyvista.CellType.TETRA if mesh.dimension == 3 else pyvista.CellType.TRIANGLE
+        grid = pyvista.UnstructuredGrid({kind: mesh.cells}, spatial(state.x))
+        grid.point_data["displacement"] = spatial(state.x - mesh.points)
+        grid.point_data["rest_position"] = spatial(mesh.points)
+        grid.point_data["velocity"] = spatial(state.v)
+        grid.point_data["speed"] = np.linalg.norm(state.v, axis=1)
+        for name in ("volume_ratio", "rotation_angle", "energy_density", "turn", "quality"):
+            grid.cell_data[name] = getattr(self, name)
+        grid.field_data["TimeValue"] = [state.step * self.problem.dt]
+        grid.field_data["step"] = [state.step]
+        grid.field_data["message"] = [message]
+        write_whole(folder / FILE, encoded(grid, folder / FILE))
+
+
+def examined(problem: Problem, state: State) -> Failure:
+    """Return what can be said of the last state before a step that failed."""
+    body, mesh = problem.body, problem.body.mesh
+    with np.errstate(all="ignore"):  # it may be about to blow up
+        F = deformation_gradient(mesh, state.x)
+        ahead = deformation_gradient(mesh, state.x + problem.dt * state.v)
+        measured = measure(Frame(0, 0.0, mesh, state.x))
+        return Failure(
+            problem,
+            state,
+            volume_ratio=measured["volume_ratio"],
+            rotation_angle=measured["rotation_angle"],
+            energy_density=body.law.energy_density(F, body.law.rotations(F)),
+            turn=np.degrees(angle(np.swapaxes(polar(F), 1, 2) @ polar(ahead))),
+            quality=quality(mesh),
+        )

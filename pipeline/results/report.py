@@ -1,0 +1,134 @@
+"""report.html of a result: of a case's folder, or of what was found of anybody's series."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from shlex import quote
+from typing import Any
+
+from pipeline.case import Case, load_case
+from pipeline.errors import OutputError
+from pipeline.results.analysis_folder import Analysis, Comparison
+from pipeline.results.comparison import recorded
+from pipeline.results.variant import UNFINISHED, determining, difference, read_run
+from pipeline.series import Series, read_series
+from pipeline.system.version import VERSION
+from pipeline.views.html.blocks import Block, Heading, Listing, Paragraph, Table
+from pipeline.views.html.page import Result, Side, write_page
+from pipeline.views.html.solids import OnFrame
+from pipeline.views.paraview import NAME as SCRIPT
+
+REPORT = "report.html"
+_AGAIN = "How to make it again"
+
+
+def report_of_folder(folder: Path, on_frame: OnFrame | None = None) -> Path:
+    """Write report.html of a result folder from its frames and datasets, and return its path.
+
+    `on_frame(variant, done, frames)` is called after each frame that is read.
+
+    Raises CaseError where it is no result folder, OutputError where no variant left a frame or the page cannot be
+    written, SeriesError where frames cannot be read.
+    """
+    case = load_case(folder / "case.toml")
+    runs = {name: run for name, run in recorded(case, folder).items() if run["status"] not in UNFINISHED}
+    missing = [f"{name} is not shown: {_why(case, folder, name)}" for name in case.variant_names if name not in runs]
+    if not runs:
+        raise OutputError(f"{folder}: nothing to report: {missing[0]}; pipeline run solves it")
+    sides = [
+        Side(
+            name.replace("_", " "), replace(read_series(folder / name), name=name), folder / name / "statistics.nc",
+            _facts(run),
+        )
+        for name, run in runs.items()
+    ]  # fmt: skip
+    notes = missing + [f"{name} failed: {run['message']}" for name, run in runs.items() if run["status"] == "failed"]
+    notes += [note for run in runs.values() for note in run["notes"]]
+    movie, poster = (folder / f"comparison.{ending}" for ending in ("mp4", "png"))
+    title = case.movie.title or case.name.replace("_", " ")
+    closing = [*_settings(case, folder), *_made_by(next(iter(runs.values()))), *_again(folder)]
+    result = Result(
+        title, tuple(sides), closing, notes, movie if movie.is_file() else None, poster if poster.is_file() else None
+    )
+    return write_page(result, folder / REPORT, on_frame)
+
+
+def _why(case: Case, folder: Path, name: str) -> str:
+    """Return why a variant's folder does not count."""
+    run = read_run(folder / name)
+    if not run.get("frames") or run["status"] in UNFINISHED:
+        return "it is not finished"
+    return f"its folder has the result of another case ({difference(run['case'], determining(case.variant(name)))})"
+
+
+def is_current(folder: Path) -> bool:
+    """Return whether a folder has a report.html that is no older than what it was made of."""
+    page = folder / REPORT
+    if not page.is_file():
+        return False
+    made = page.stat().st_mtime_ns
+    names = ("case.toml", "*.nc", "*.mp4", "*/run.json", "*/statistics.nc")
+    return all(path.stat().st_mtime_ns <= made for name in names for path in folder.glob(name))
+
+
+def report_of_analysis(found: Analysis | Comparison, series: Sequence[Series], command: str) -> Path:
+    """Write report.html beside what was found of series, in the same order, and return its path; raises PipelineError.
+
+    `command` is how it was found and is told in the page.
+    """
+    analyses = found.analyses if isinstance(found, Comparison) else (found,)
+    sides = tuple(
+        Side(one.name, replace(source, name=one.name), one.folder / "statistics.nc")
+        for one, source in zip(analyses, series, strict=True)
+    )
+    movie, poster = (found.folder / f"movie.{ending}" for ending in ("mp4", "png"))
+    closing: list[Block] = _apart(found) if isinstance(found, Comparison) else []
+    closing += [Heading(_AGAIN), Listing(command), Paragraph(f"Measured by pipeline {VERSION}.")]
+    result = Result(
+        ", ".join(side.label for side in sides), sides, closing, found.notes,
+        movie if movie in found.made else None, poster if poster in found.made else None,
+    )  # fmt: skip
+    return write_page(result, found.folder / REPORT)
+
+
+def _apart(found: Comparison) -> list[Block]:
+    """Return how far the nodes are from those of the first series, where that was asked for."""
+    if not found.apart:
+        return []
+    head = ("series", "worst node [m]", "which", "at t [s]", "largest RMS [m]", "at t [s]")
+    rows = [
+        (one.name, f"{one.worst:.4g}", str(one.node), f"{one.time:.4g}", f"{one.rms:.4g}", f"{one.rms_time:.4g}")
+        for one in found.apart
+    ]
+    text = f"How far the nodes are from those of {found.analyses[0].name}; distance.png has it over time."
+    return [Heading("Difference of nodes"), Paragraph(text), Table(head, rows)]
+
+
+def _facts(run: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a run says of itself, in texts."""
+    facts = {"run": run["status"], "steps": str(run["work"]["steps"]), "solves": str(run["work"]["solves"])}
+    if run.get("seconds_per_step"):
+        facts["ms a step"] = f"{1e3 * run['seconds_per_step']:.3g}"
+        facts["times real time"] = f"{run['real_time_factor']:.3g}"
+    return facts
+
+
+def _settings(case: Case, folder: Path) -> list[Block]:
+    text = "The case as it was run, all defaults written out; it is `case.toml` in the result folder."
+    return [Heading("Settings"), Paragraph(text), Listing(case.to_toml(folder))]
+
+
+def _made_by(run: Mapping[str, Any]) -> list[Block]:
+    rows = [(name, str(value)) for part in ("versions", "machine") for name, value in run[part].items()]
+    return [Heading("Versions"), Table(("what", "which"), rows)]
+
+
+def _again(folder: Path) -> list[Block]:
+    place = quote(folder.as_posix())
+    lines = (
+        f"pipeline run {place}/case.toml --out again    # solve the same case again",
+        f"pipeline movie {place}    # draw the movie again, from the frames",
+        f"pipeline report {place}    # write this page again",
+        f"paraview --script={place}/{SCRIPT}    # look into every frame",
+    )
+    return [Heading(_AGAIN), Listing("\n".join(lines))]

@@ -1,0 +1,116 @@
+"""The numbers of one frame, and the table of every variable that files and datasets carry.
+
+Pure functions: what sinks write about a live run and what a foreign series is measured by is the same.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.fem.element import deformation_gradient
+from pipeline.fem.rotation import angle, polar
+from pipeline.mesh.simplex import Floats, Mesh, signed_volumes
+from pipeline.run.frame import Frame, Values
+
+QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What a name means: its dimensions in one frame, its unit and a sentence."""
+
+    dims: tuple[str, ...]
+    units: str
+    long_name: str
+
+
+VARIABLES: Mapping[str, Variable] = {
+    "volume_ratio": Variable(("cell",), "1", "volume now over rest volume, det F; negative where inverted"),
+    "rotation_angle": Variable(("cell",), "degree", "angle of the polar rotation of the deformation gradient"),
+    "total_volume": Variable((), "m3", "signed sum of the volumes of all cells"),
+    "volume_drift": Variable((), "1", "total volume over total rest volume, less one"),
+    "volume_ratio_mean": Variable((), "1", "mean volume ratio, weighted by rest volume"),
+    "volume_ratio_quantile": Variable(("quantile",), "1", "quantiles of the volume ratio over cells, unweighted"),
+    "inverted_count": Variable((), "1", "number of cells whose volume ratio is not positive"),
+    "center_of_mass": Variable(("axis",), "m", "centre of mass of the body, its density being uniform"),
+    "kinetic_energy": Variable((), "J", "kinetic energy"),
+    "elastic_energy": Variable((), "J", "elastic energy of the law that was solved"),
+    "potential_energy": Variable((), "J", "potential energy of the dead loads, zero at the rest positions"),
+    "linear_momentum": Variable(("axis",), "kg m s-1", "linear momentum"),
+    "angular_momentum": Variable(("axis",), "kg m2 s-1", "angular momentum about the origin"),
+    "newton_iterations": Variable((), "1", "linear systems solved since the frame before"),
+    "rung": Variable((), "1", "highest model since the frame before: 0 linear, 1 corotational, 2 converged"),
+    "indicator": Variable((), "1", "what the spurious volume of no step since the frame before exceeds"),
+}
+# numbers of each step since the frame before, of model = "auto"
+STEPS: Mapping[str, Variable] = {
+    "step_rung": Variable(("step",), "1", "model that the step needed: 0 linear, 1 corotational, 2 converged"),
+    "step_solves": Variable(("step",), "1", "linear systems solved in the step"),
+    "step_indicator": Variable(("step",), "1", "what the spurious volume of the step does not exceed"),
+}
+# what does not change from frame to frame, and the coordinates
+FIXED: Mapping[str, Variable] = {
+    "time": Variable((), "s", "time since the start"),
+    "rest_volume": Variable(("cell",), "m3", "rest volume of the cell"),
+    "quantile": Variable(("quantile",), "1", "quantile of cells"),
+    "axis": Variable(("axis",), "1", "axis of space"),
+    "step": Variable((), "1", "number of the time step, from 1 on"),
+}
+_TABLES = {**VARIABLES, **STEPS, **FIXED}
+AXES = ("x", "y", "z")
+# in the plane a volume is an area and an energy is per metre of thickness
+_PLANAR_UNITS = {"m3": "m2", "J": "J m-1", "kg m s-1": "kg s-1", "kg m2 s-1": "kg m s-1"}
+
+
+def units(name: str, dimension: int) -> str:
+    """Return the unit of a variable for a body of that dimension; a planar one has unit thickness."""
+    unit = _TABLES[name].units
+    return _PLANAR_UNITS.get(unit, unit) if dimension == 2 else unit
+
+
+def attributes(name: str, dimension: int) -> dict[str, str]:
+    """Return the CF attributes of a variable or coordinate for a body of that dimension."""
+    return {"units": units(name, dimension), "long_name": _TABLES[name].long_name}
+
+
+def spatial(vector: Floats) -> Floats:
+    """Return vectors (..., d) with three components, as files carry them: zero along z in the plane."""
+    missing = 3 - vector.shape[-1]
+    return np.pad(vector, [(0, 0)] * (vector.ndim - 1) + [(0, missing)])
+
+
+def volumes_and_angles(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
+    """Return the signed volume and the angle of the polar rotation [rad] of each cell (e,) at positions x (n, d)."""
+    if mesh.dimension == 2:
+        return volumes_and_angles_by_numpy(mesh, x)
+    from pipeline.fem.kernels import measures as measure_kernels
+
+    volumes, angles = np.empty((2, len(mesh.cells)))
+    x = np.ascontiguousarray(x, dtype=np.float64)
+    measure_kernels.volumes_and_angles(x, mesh.cells, mesh.shape_gradients, volumes, angles)
+    return volumes, angles
+
+
+def volumes_and_angles_by_numpy(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
+    """Return what `volumes_and_angles` does: the plain reference of the compiled one, and what triangles take."""
+    return signed_volumes(x, mesh.cells), angle(polar(deformation_gradient(mesh, x)))
+
+
+def measure(frame: Frame) -> Values:
+    """Return the value of every variable that can be known of this frame, by the names of VARIABLES and STEPS."""
+    mesh = frame.mesh
+    volumes, angles = volumes_and_angles(mesh, frame.x)
+    ratio = volumes / mesh.rest_volumes
+    total, rest = volumes.sum(), mesh.rest_volumes.sum()
+    return {
+        **frame.known,
+        "volume_ratio": ratio,
+        "rotation_angle": np.degrees(angles),
+        "total_volume": np.asarray(total),
+        "volume_drift": np.asarray(total / rest - 1),
+        "volume_ratio_mean": np.asarray((ratio * mesh.rest_volumes).sum() / rest),
+        "volume_ratio_quantile": np.quantile(ratio, QUANTILES),
+        "inverted_count": np.asarray(float((ratio <= 0).sum())),
+        "center_of_mass": spatial(mesh.node_volumes @ frame.x / rest),
+    }

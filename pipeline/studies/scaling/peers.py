@@ -1,0 +1,178 @@
+"""What other programs cost on the same mesh, where they are installed: python -m pipeline.studies.scaling.peers JSON.
+
+A peer is never needed: without it there is no row. Each row has the ms and ns_per_tet of the peer, `ours_ms` of what is
+nearest to it here, measured in the same process on the same mesh, and `differs`: what is not the same.
+"""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pipeline.errors import MeshError, SolveError
+from pipeline.problem.build import Problem
+from pipeline.studies.scaling.step_cost import median_ms, peak_megabytes, point_problem
+
+INSTALL = "pip install 'corotational-pipeline[bench]', in an environment of its own"
+_WARM_STEPS = 5  # so that the cells have turned when ours is timed
+# where a step of 0.07 s needs more iterations of MuJoCo's solver than its default of 100, it warns
+_MUJOCO_ITERATIONS = 1000
+
+
+class Costs(NamedTuple):
+    """Milliseconds of a peer, of what is nearest to it here, and seconds of the peer's set-up."""
+
+    ms: float
+    ours_ms: float
+    setup_s: float
+
+
+class Peer(NamedTuple):
+    """The package, what of it is measured and how, and what differs from ours."""
+
+    module: str
+    what: str
+    costs: Callable[[Problem], Costs]
+    differs: str
+
+
+def _felupe(problem: Problem) -> Costs:
+    """Return the costs of felupe's stiffness of linear elasticity at rest, and of our linearisation."""
+    import felupe
+
+    body, material = problem.body, problem.body.material
+    began = time.perf_counter()
+    region = felupe.RegionTetra(felupe.Mesh(body.mesh.points, body.mesh.cells, "tetra"))
+    field = felupe.FieldContainer([felupe.Field(region, dim=3)])
+    law = felupe.LinearElastic(E=material.youngs_modulus, nu=material.poisson_ratio)
+    solid = felupe.SolidBody(law, field)
+    setup = time.perf_counter() - began
+    stepper, state = problem.prepare(), problem.start
+    for _ in range(_WARM_STEPS):
+        state, _ = stepper.step(state)
+    ours = median_ms(lambda: body.linearise(state.x))
+    return Costs(median_ms(lambda: solid.assemble.matrix(field)), ours, setup)
+
+
+def _mujoco(problem: Problem) -> Costs:
+    """Return the costs of a step of MuJoCo's flex, and of ours; raises SolveError where MuJoCo warns of a step."""
+    import mujoco
+
+    with heard() as warned:
+        began = time.perf_counter()
+        model, data = flex(problem)
+        setup = time.perf_counter() - began
+        warned.clear()  # it misses passive forces, and yet the flex has the elasticity that it was given
+        ms = median_ms(lambda: mujoco.mj_step(model, data))
+    if warned:
+        raise SolveError(f"MuJoCo warned {len(warned)} times, first: {' '.join(warned[0].split())}")
+    stepper, state = problem.prepare(), problem.start
+
+    def step() -> None:
+        nonlocal state
+        state, _ = stepper.step(state)
+
+    return Costs(ms, median_ms(step), setup)
+
+
+@contextmanager
+def heard() -> Iterator[list[str]]:
+    """Yield the list that MuJoCo's warnings go to, which it would print and write into a file."""
+    import mujoco
+
+    warned: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(warned.append)
+    try:
+        yield warned
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def flex(problem: Problem) -> tuple[Any, Any]:
+    """Return MuJoCo's model and data of a problem: its tetrahedra, material, pinned nodes, loads, start and step."""
+    import mujoco
+
+    body, material = problem.body, problem.body.material
+    points, cells, held = body.mesh.points, body.mesh.cells, body.supports.nodes
+    pins = f'<pin id="{_numbers(held)}"/>' if held.size else ""
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><size memory="2G"/><option timestep="{problem.dt!r}" integrator="discrete" gravity="0 0 0" '
+        f'iterations="{_MUJOCO_ITERATIONS}"><flag contact="disable"/></option><worldbody>'
+        f'<flexcomp name="body" type="direct" dim="3" radius="0.001" '
+        f'mass="{material.density * float(body.mesh.rest_volumes.sum())!r}" '
+        f'point="{_numbers(points)}" element="{_numbers(cells)}">'
+        f'<elasticity young="{material.youngs_modulus!r}" poisson="{material.poisson_ratio!r}"/>'
+        f'<contact contype="0" conaffinity="0" selfcollide="none"/>{pins}</flexcomp></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    data.qvel[:] = problem.start.v[body.free].ravel()
+    data.xfrc_applied[model.flex_vertbodyid[body.free], :3] = body.load[body.free]
+    return model, data
+
+
+def _numbers(array: "np.ndarray[Any, Any]") -> str:
+    return " ".join(map(repr, array.ravel().tolist()))
+
+
+PEERS: Mapping[str, Peer] = {
+    "felupe": Peer(
+        "felupe",
+        "an assembly",
+        _felupe,
+        "an assembly, no step: felupe's is the stiffness of linear elasticity at rest, ours the rotations, forces and "
+        "corotational stiffness of a moving state, of which it stores one triangle",
+    ),
+    "mujoco": Peer(
+        "mujoco",
+        "a step",
+        _mujoco,
+        'a step of the same dt: Saint Venant-Kirchhoff elasticity, integrator "discrete" (one solve with M + h^2 K), '
+        "tolerance 1e-8 of its own kind, the mass equal on all nodes, supports at rest; ours one_solve, corotational",
+    ),
+}
+
+
+def available() -> list[str]:
+    """Return the names of the peers that can be imported."""
+    return [name for name, peer in PEERS.items() if find_spec(peer.module) is not None]
+
+
+def measured(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of one peer on one mesh; raises MeshError in the plane, SolveError where it fails."""
+    name = settings["method"]
+    peer = PEERS[name]
+    problem = point_problem(settings | {"method": "one_solve"})
+    cells = len(problem.body.mesh.cells)
+    if problem.body.mesh.dimension != 3:
+        raise MeshError(f"{name} is measured with tetrahedra only")
+    costs = peer.costs(problem)
+    return {
+        "method": name,
+        "version": str(import_module(peer.module).__version__),
+        "cells": settings.get("cells"),
+        "tets": cells,
+        "nodes": len(problem.body.mesh.points),
+        "dt": problem.dt,
+        "ms": costs.ms,
+        "ns_per_tet": 1e6 * costs.ms / cells,
+        "ours_ms": costs.ours_ms,
+        "setup_s": costs.setup_s,
+        "differs": peer.differs,
+        "peak_MB": peak_megabytes(),
+    }
+
+
+def main() -> None:
+    """Print the row of the settings given as JSON."""
+    sys.stdout.write(json.dumps(measured(json.loads(sys.argv[1]))) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""The printed formulas run: what each does to the thesis' own bar, as numbers, and what the corrected one does.
+
+Each function of TESTS takes the problem of the bar with f = 20, linear, as printed, and returns (numbers of the
+printed formula, numbers of the corrected one), which `published.CORRECTIONS` puts into words.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from pipeline.fem.modes import lowest_frequencies
+from pipeline.mesh.simplex import Floats, Ints, Mesh
+from pipeline.problem.build import Problem
+from pipeline.studies.thesis.formulas_as_printed import force_6_12, step_4_48, stiffness_4_30, stiffness_4_32
+from pipeline.studies.thesis.published import CORRECTIONS, Correction
+
+Numbers = Mapping[str, float]
+STEPS = 100
+# singular values below this part of the largest are zero: far above rounding, far below the next one (1e-2)
+_ZERO = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Dense:
+    """The free degrees of freedom of a small body as plain matrices (k, k) and vectors (k,)."""
+
+    M: Floats
+    f: Floats
+    v: Floats
+    free: Ints
+    problem: Problem
+
+    def restricted(self, blocks: Floats) -> Floats:
+        """Return the assembled matrix (k, k) of the cells' matrices (e, 4, 3, 4, 3)."""
+        return assembled(self.problem.body.mesh, blocks)[np.ix_(self.free, self.free)]
+
+
+def assembled(mesh: Mesh, blocks: Floats) -> Floats:
+    """Return the whole matrix (n d, n d) of the cells' (e, 4, 3, 4, 3), which as printed are not symmetric."""
+    dofs = (3 * mesh.cells[:, :, None] + np.arange(3)).reshape(len(mesh.cells), 12)
+    K = np.zeros((mesh.points.size, mesh.points.size))
+    np.add.at(K, (dofs[:, :, None], dofs[:, None, :]), blocks.reshape(-1, 12, 12))
+    return K
+
+
+def dense(problem: Problem) -> Dense:
+    """Return the matrices of a problem's free degrees of freedom."""
+    body = problem.body
+    free = np.repeat(body.free_mask, body.mesh.dimension)
+    M = body.pattern.matrix(body.mass).toarray()[np.ix_(free, free)]
+    chosen = np.flatnonzero(free).astype(np.int64)
+    return Dense(M, body.load.ravel()[free], problem.start.v.ravel()[free], chosen, problem)
+
+
+def element_numbers(problem: Problem, blocks: Floats) -> dict[str, float]:
+    """Return what is to be known of the first cell's K_e: symmetry, kernel, definiteness, forces of rotations."""
+    mesh = problem.body.mesh
+    K = blocks[0].reshape(12, 12)
+    singular = np.linalg.svd(K, compute_uv=False)
+    X = mesh.points[mesh.cells[0]]
+    scale = problem.body.material.youngs_modulus * mesh.rest_volumes[0] ** (2 / 3)
+    turns = [float(np.linalg.norm(K @ np.cross(axis, X - X.mean(axis=0)).ravel()) / scale) for axis in np.eye(3)]
+    return {
+        "asymmetry": float(np.linalg.norm(K - K.T) / np.linalg.norm(K)),
+        "kernel": float((singular < _ZERO * singular[0]).sum()),
+        "lowest": float(np.linalg.eigvalsh((K + K.T) / 2)[0] / singular[0]),
+        "about_x": turns[0],
+        "about_y": turns[1],
+        "about_z": turns[2],
+    }
+
+
+def travel(system: Dense, K: Floats, *, corrected: bool) -> float:
+    """Return the largest distance [m] of any node from home within 100 steps of T 4.48."""
+    u, v, farthest = np.zeros_like(system.v), system.v, 0.0
+    for _ in range(STEPS):
+        u, v = step_4_48(system.M, K, system.f, u, v, system.problem.dt, corrected=corrected)
+        farthest = max(farthest, float(np.linalg.norm(u.reshape(-1, 3), axis=1).max()))
+    return farthest
+
+
+def third_sum(problem: Problem) -> tuple[Numbers, Numbers]:
+    """Return the numbers of T 4.30."""
+    make = partial(stiffness_4_30, problem.body.mesh, problem.body.material)
+    return element_numbers(problem, make()), element_numbers(problem, make(corrected=True))
+
+
+def left_factor(problem: Problem) -> tuple[Numbers, Numbers]:
+    """Return the numbers of T 4.32, with the printed K in a step that is right."""
+    system, found = dense(problem), []
+    for corrected in (False, True):
+        blocks = stiffness_4_32(problem.body.mesh, problem.body.material, corrected=corrected)
+        K = system.restricted(blocks)
+        found.append(element_numbers(problem, blocks) | {"travel": travel(system, K, corrected=True)})
+    return found[0], found[1]
+
+
+def load_sign(problem: Problem) -> tuple[Numbers, Numbers]:
+    """Return the numbers of T 4.48: growth of the first mode a step, farthest travel, and what gravity does."""
+    system, dt = dense(problem), problem.dt
+    K = system.restricted(stiffness_4_30(problem.body.mesh, problem.body.material, corrected=True))
+    omega, modes = lowest_frequencies(problem.body)
+    z = float(omega[0]) * dt
+    zero = np.zeros_like(system.f)
+    theory = {False: 1 + z / np.hypot(1, z), True: 1 / np.hypot(1, z)}
+    found = []
+    for corrected in (False, True):
+        u, v = modes[0].ravel()[system.free], zero
+        sizes = []
+        for _ in range(STEPS):
+            u, v = step_4_48(system.M, K, zero, u, v, dt, corrected=corrected)
+            sizes.append(np.sqrt(u @ system.M @ u + v @ system.M @ v / omega[0] ** 2))
+        fallen, _ = step_4_48(system.M, K, system.f, zero, zero, dt, corrected=corrected)
+        found.append({
+            "growth": float(sizes[-1] / sizes[STEPS // 2]) ** (1 / (STEPS - 1 - STEPS // 2)),
+            "theory": float(theory[corrected]),
+            "travel": travel(system, K, corrected=corrected),
+            "rise": float(fallen.reshape(-1, 3)[:, 2].mean()),
+        })  # fmt: skip
+    return found[0], found[1]
+
+
+def rest_force(problem: Problem) -> tuple[Numbers, Numbers]:
+    """Return the numbers of T 6.12 to 6.16: residual at rest without loads, its share of -2 K x, the first step."""
+    system, body = dense(problem), problem.body
+    blocks = stiffness_4_30(body.mesh, body.material, corrected=True)
+    whole = assembled(body.mesh, blocks)
+    x = body.mesh.points.ravel()
+    f_0 = whole @ x
+    K, found = system.restricted(blocks), []
+    for corrected in (False, True):
+        r = force_6_12(whole, np.zeros_like(x), x, np.zeros_like(x), f_0, corrected=corrected)[system.free]
+        v = np.linalg.solve(system.M + problem.dt**2 * K, problem.dt * r)
+        wanted = -2 * f_0[system.free]
+        found.append({
+            "residual": float(np.linalg.norm(r)),
+            "share": float(r @ wanted / (wanted @ wanted)),
+            "jump": float(np.linalg.norm(problem.dt * v.reshape(-1, 3), axis=1).max()),
+        })  # fmt: skip
+    return found[0], found[1]
+
+
+TESTS: Mapping[str, Callable[[Problem], tuple[Numbers, Numbers]]] = {
+    "third_sum": third_sum,
+    "left_factor": left_factor,
+    "load_sign": load_sign,
+    "rest_force": rest_force,
+}
+
+
+def corrections_run(problem: Problem) -> list[tuple[Correction, str, str]]:
+    """Return every correction with what its printed formula did and what the corrected one did, in words."""
+    rows = []
+    for row in CORRECTIONS:
+        if not row.test:
+            rows.append((row, "", ""))
+            continue
+        printed, corrected = TESTS[row.test](problem)
+        rows.append((row, row.fails.format(**printed), row.holds.format(**corrected)))
+    return rows

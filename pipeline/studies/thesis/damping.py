@@ -1,0 +1,55 @@
+r"""Backward Euler's damping of the lowest modes of a linear body: by formula, and measured on each mode.
+
+    z = omega dt,   zeta(z) = ln(1 + z^2) / sqrt(ln^2(1 + z^2) + 4 atan^2 z)
+
+Measured: a few steps from the mode itself; its amplitudes q_n obey q_{n+2} = a q_{n+1} + b q_n, whose roots are the
+factors G of one step, and zeta = -ln|G| / sqrt(ln^2|G| + arg^2 G).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.fem.modes import lowest_frequencies
+from pipeline.problem.build import Problem
+from pipeline.problem.methods import STEPPERS
+from pipeline.stepping.backward_euler import damping_ratio
+from pipeline.stepping.state import State
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A mode: frequency [rad/s], z = omega dt, damping ratio by formula and measured [1]."""
+
+    omega: float
+    z: float
+    formula: float
+    measured: float
+
+
+def mode_damping(problem: Problem, count: int = 6) -> list[Mode]:
+    """Return the lowest modes of a problem of the linear law; loads and initial state are left aside."""
+    omegas, shapes = lowest_frequencies(problem.body, count)
+    return [
+        Mode(float(omega), z := float(omega) * problem.dt, damping_ratio(z), _measured(problem, shape))
+        for omega, shape in zip(omegas, shapes, strict=True)
+    ]
+
+
+def _measured(problem: Problem, shape: np.ndarray) -> float:
+    """Return the damping ratio of four steps that start displaced along a mode."""
+    body = replace(problem.body, load=np.zeros_like(problem.body.load))
+    stepper = STEPPERS[problem.method.stepper](body, problem.dt, problem.method)
+    X = body.mesh.points
+    small = 1e-3 * body.mesh.size / np.abs(shape).max()
+    weighted = body.momentum(shape) / small
+    state = State(0, X + small * shape, np.zeros_like(X))
+    amplitudes = [1.0]
+    for _ in range(4):
+        state, _ = stepper.step(state)
+        amplitudes.append(float((weighted * (state.x - X)).sum()))
+    q = np.array(amplitudes)
+    a, b = np.linalg.solve(np.stack([q[2:4], q[1:3]], axis=1), q[3:5])
+    G = np.roots([1.0, -a, -b]).astype(complex)[0]
+    decay, turn = np.log(np.abs(G)), np.angle(G)
+    return float(-decay / np.hypot(decay, turn))

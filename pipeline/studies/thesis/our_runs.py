@@ -1,0 +1,97 @@
+"""What our runs of the seeds' scenes gave: read from the result folders, nothing is solved here."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.analysis.statistics import read_statistics
+from pipeline.case import Case
+from pipeline.results.run_case import CampaignResult
+from pipeline.results.variant import VariantResult
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One variant's run: counts, the largest growth over all cells and frames, where and when, and what it cost."""
+
+    status: str
+    folder: Path
+    nodes: int
+    cells: int
+    steps: int
+    dt: float
+    largest_ratio: float
+    cell: int
+    iteration: int
+    smallest_ratio: float
+    largest_volume: float
+    its_rest_volume: float
+    largest_rest_volume: float
+    kinetic_kept: float  # kinetic energy at the end over that at its largest
+    seconds_per_step: float
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One case: its folder, what its numbers were multiplied by, its outcomes by variant and what there is to say."""
+
+    name: str
+    folder: Path
+    factor: float = 1.0
+    factor_of: str = ""
+    outcomes: Mapping[str, Outcome] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def scene_of(case: Case, result: CampaignResult) -> Scene:
+    """Return what a campaign gave; a variant without a frame is left out, with a note."""
+    outcomes, notes = {}, list(result.notes)
+    for variant in result.variants:
+        if variant.run.get("frames"):
+            outcomes[variant.name] = outcome_of(variant)
+        if variant.status == "failed" or variant.run.get("status") == "failed":
+            notes.append(f"{variant.name} failed: {variant.run.get('message', '')}")
+    factor, factor_of = _factor(case)
+    return Scene(case.name, result.folder, factor, factor_of, outcomes, tuple(notes))
+
+
+def _factor(case: Case) -> tuple[float, str]:
+    """Return the factor that a case puts on its initial velocity or its load, and its name; 1 where there is none."""
+    if case.initial.factor != 1:
+        return case.initial.factor, "initial velocity"
+    b = case.loads.body_force
+    return (b.factor, "body force") if b is not None and b.factor != 1 else (1.0, "")
+
+
+def outcome_of(variant: VariantResult) -> Outcome:
+    """Return the outcome of a recorded variant, from its statistics.nc and its run.json."""
+    dataset = read_statistics(variant.folder / "statistics.nc")
+    run = variant.run
+    ratio = dataset["volume_ratio"].transpose("time", "cell").values
+    rest = dataset["rest_volume"].values
+    frame, cell = np.unravel_index(int(ratio.argmax()), ratio.shape)
+    volumes = ratio * rest
+    kinetic = dataset["kinetic_energy"].values
+    dt = float(run["case"]["schedule"]["dt"])
+    largest = int(volumes.argmax()) % rest.size
+    return Outcome(
+        status=run["status"],
+        folder=variant.folder,
+        nodes=run["nodes"],
+        cells=run["cells"],
+        steps=run["last_frame"]["step"],
+        dt=dt,
+        largest_ratio=float(ratio[frame, cell]),
+        cell=int(cell),
+        iteration=round(float(dataset["time"].values[frame]) / dt),
+        smallest_ratio=float(ratio.min()),
+        largest_volume=float(volumes.max()),
+        its_rest_volume=float(rest[largest]),
+        largest_rest_volume=float(rest.max()),
+        kinetic_kept=float(kinetic[-1] / kinetic.max()) if kinetic.max() > 0 else 0.0,
+        seconds_per_step=float(run["seconds_per_step"] or float("nan")),
+        message=str(run.get("message", "")),
+    )

@@ -1,0 +1,83 @@
+"""tradeoff.nc: every cost and deviation of a study, a dimension a knob, NaN where a setting was not run."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.studies.tradeoff.deviation import MEASURES
+from pipeline.studies.tradeoff.settings import Setting
+from pipeline.studies.tradeoff.table import COSTS, Row, Table, known
+
+if TYPE_CHECKING:
+    import xarray
+
+KNOBS = {
+    "refinement": "cells of the case's mesh along each axis, times this",
+    "mass": "mass matrix",
+    "stepper": "time stepper",
+    "dt": "time step",
+    "law": "constitutive law; auto is model = auto",
+    "rotation": "rotation of the corotational law",
+    "iterations": "solves a step",
+}
+_REFERENCES = {
+    "model": "the converged solution of the same stepper, dt, mass and mesh",
+    "motion": "the converged BDF2 of the smallest step on the same mesh",
+    "total": "that on the finest mesh, at the nodes of both",
+}
+
+
+def dataset(table: Table) -> "xarray.Dataset":
+    """Return the study as a dataset with the dimensions of KNOBS; "failed" is 1 where a setting gave an error."""
+    import xarray
+
+    rows = table.rows
+    values = {name: _values(name, rows) for name in KNOBS}
+    shape = tuple(len(v) for v in values.values())
+    data: dict[str, Any] = {}
+    for name, (units, text) in COSTS.items():
+        data[name] = _filled(shape, values, {row.setting: row.costs.get(name) for row in rows}, units, text)
+    for name in known(table):
+        reference, measure = name.split("_", 1)
+        units, text = MEASURES[measure]
+        found = {row.setting: row.deviations.get(name) for row in rows}
+        data[name] = _filled(shape, values, found, units, f"{text}; reference: {_REFERENCES[reference]}")
+    failed = {row.setting: float(row.failure is not None) for row in rows}
+    data["failed"] = _filled(shape, values, failed, "1", "1 where the setting gave an error, 0 where it ran")
+    coordinates = {name: (name, _coordinate(values[name]), _attributes(name)) for name in KNOBS}
+    own = table.reference_error()
+    attrs = {
+        "Conventions": "CF-1.11",
+        "title": f"{table.plan.case.name}: work against precision",
+        "tolerance": table.plan.tolerance,
+        "simulated_seconds": table.plan.interval * table.plan.frames,
+        "reference_dt": table.plan.reference(1).dt,
+        "reference_error": float("nan") if own.time is None else own.time,
+        "mesh_reference_error": float("nan") if own.mesh is None else own.mesh,
+    }
+    return xarray.Dataset(data, coordinates, attrs)
+
+
+def _values(name: str, rows: list[Row]) -> list[Any]:
+    found = dict.fromkeys(getattr(row.setting, name) for row in rows)
+    return sorted(found) if name in ("refinement", "dt") else list(found)
+
+
+def _coordinate(values: list[Any]) -> np.ndarray:
+    return np.array(values, dtype=object if isinstance(values[0], str) else np.float64)
+
+
+def _attributes(name: str) -> dict[str, str]:
+    units = {"dt": {"units": "s"}, "refinement": {"units": "1"}}.get(name, {})
+    return {"long_name": KNOBS[name], **units}
+
+
+def _filled(
+    shape: tuple[int, ...], values: dict[str, list[Any]], found: Mapping[Setting, float | None], units: str, text: str
+) -> tuple[tuple[str, ...], np.ndarray, dict[str, str]]:
+    out = np.full(shape, np.nan)
+    for setting, value in found.items():
+        if value is not None:
+            out[tuple(values[name].index(getattr(setting, name)) for name in KNOBS)] = value
+    return tuple(KNOBS), out, {"units": units, "long_name": text}

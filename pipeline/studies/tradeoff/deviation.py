@@ -1,0 +1,86 @@
+r"""How far one motion is from another: nodes, volumes, energy, and the first mode.
+
+With the first mode phi (M-normalised, omega) of the body at rest,  q = phi . M u,  z = q + i dq/dt / omega:
+its amplitude is |z|, its phase arg z. In large rotations that is a projection like any other, still the same one for
+both motions.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.errors import SolveError
+from pipeline.fem.body import Body
+from pipeline.fem.modes import lowest_frequencies
+from pipeline.mesh.simplex import Floats, Ints
+from pipeline.studies.tradeoff.motion import Motion
+
+# unit and meaning of every measure
+MEASURES = {
+    "worst_distance": ("1", "largest distance of a node from the reference, over the body's size"),
+    "rms_distance": ("1", "root mean square over nodes and instants of that distance, over the body's size"),
+    "volume": ("1", "largest difference of a cell's volume ratio from the reference"),
+    "drift": ("1", "largest difference of the relative change of total volume"),
+    "energy": ("1", "largest difference of the total energy, over the largest kinetic and elastic one"),
+    "mode_amplitude": ("1", "largest difference of the first mode's amplitude, over its largest"),
+    "mode_phase": ("degree", "largest difference of the first mode's phase, where it moves"),
+}
+DISTANCES = ("worst_distance", "rms_distance")
+# a tolerance on volume ratios is met by twice itself: what model = "auto" promises of its indicator
+VOLUME_SHARE = 0.5
+_MOVING = 0.1  # of the largest amplitude: below it a phase means little
+
+
+@dataclass(frozen=True, eq=False)
+class FirstMode:
+    """The lowest elastic mode of a body: M phi (n, d) and omega [rad/s]."""
+
+    weighted: Floats
+    omega: float
+
+    def amplitude(self, motion: Motion) -> Floats:
+        """Return z of a motion (t,), complex."""
+        q, rate = (np.einsum("tnd,nd->t", one, self.weighted) for one in (motion.u, motion.v))
+        return np.asarray(q + 1j * rate / self.omega)
+
+
+def first_mode(body: Body) -> FirstMode | None:
+    """Return the lowest elastic mode of a body; None where it has none or it is not found."""
+    try:
+        omegas, modes = lowest_frequencies(body)
+    except SolveError:
+        return None
+    return FirstMode(body.momentum(modes[0]), float(omegas[0])) if len(omegas) else None
+
+
+def distances(motion: Motion, reference: Motion, nodes: Ints | None = None) -> dict[str, float]:
+    """Return the worst and RMS distance over the body's size; `nodes` are the motion's own in a finer reference."""
+    other = reference.u if nodes is None else reference.u[:, nodes]
+    apart = np.linalg.norm(motion.u - other, axis=-1) / motion.mesh.size
+    return {"worst_distance": float(apart.max()), "rms_distance": float(np.sqrt(np.mean(apart**2)))}
+
+
+def deviation(motion: Motion, reference: Motion, mode: FirstMode | None) -> dict[str, float]:
+    """Return every measure of MEASURES between two motions of one mesh; NaN where it cannot be known."""
+    scale = float(reference.moving_energy.max())
+    energy = float(np.abs(motion.energy - reference.energy).max())
+    out = distances(motion, reference) | {
+        "volume": float(np.abs(motion.ratios - reference.ratios).max()),
+        "drift": float(np.abs(motion.drift - reference.drift).max()),
+        "energy": energy / scale if scale > 0 else float("nan"),
+        "mode_amplitude": float("nan"),
+        "mode_phase": float("nan"),
+    }
+    if mode is not None:
+        z, exact = mode.amplitude(motion), mode.amplitude(reference)
+        largest = float(np.abs(exact).max())
+        moving = np.abs(exact) > _MOVING * largest
+        if moving.any():
+            out["mode_amplitude"] = float(np.abs(np.abs(z) - np.abs(exact)).max()) / largest
+            out["mode_phase"] = float(np.degrees(np.abs(np.angle(z[moving] * exact[moving].conj())).max()))
+    return out
+
+
+def error(measures: dict[str, float]) -> float:
+    """Return the one number that a tolerance is held against: worst distance, or half the worst volume, the larger."""
+    return max(measures["worst_distance"], VOLUME_SHARE * measures.get("volume", 0.0))

@@ -1,0 +1,68 @@
+r"""How many steps a period of the first mode a stepper needs for an amplitude and phase to a tolerance.
+
+The body is linear, without loads, displaced along its first mode and let go. After one period the mode is where it was:
+    z = q + i dq/dt / omega,    error = |z(T) - z(0)| / |z(0)|,    T = 2 pi / omega
+The error falls as a power of the steps a period, so a few runs find the count.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import ceil, pi
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import SolveError
+from pipeline.fem.modes import lowest_frequencies
+from pipeline.problem.build import Problem
+from pipeline.problem.methods import STEPPERS
+from pipeline.stepping.state import State
+from pipeline.studies.tradeoff.motion import built
+
+ORDERS = {"backward_euler": 1, "bdf2": 2}
+_FIRST = 64  # steps a period
+_MOST = 1_000_000
+_RUNS = 12
+
+
+def steps_a_period(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fewest steps a period for the tolerance, as measured, its error, and omega [rad/s].
+
+    Settings are those of `motion.task_settings` and `tolerance`. Raises SolveError where the body has no elastic mode
+    or the tolerance is not reached.
+    """
+    problem = built(settings, "case")
+    stepper, tolerance = problem.method.stepper, float(settings["tolerance"])
+    omegas, modes = lowest_frequencies(problem.body)
+    if not len(omegas):
+        raise SolveError("the body has no elastic mode")
+    omega, mode = float(omegas[0]), modes[0]
+    reached: dict[int, float] = {}
+    missed, count = 0, _FIRST
+    for _ in range(_RUNS):
+        found = period_error(problem, mode, omega, count)
+        if found <= tolerance:
+            reached[count] = found
+        else:
+            missed = max(missed, count)
+        best = min(reached, default=_MOST)
+        if best - missed <= max(1, best // 100):  # to 1 %
+            return {"steps": best, "error": reached[best], "omega": omega}
+        guess = ceil(count * (found / tolerance) ** (1 / ORDERS[stepper]) * 1.001)
+        count = guess if missed < guess < best else (missed + best + 1) // 2
+    raise SolveError(f"the first mode is not followed to {tolerance:g} by {missed} steps of {stepper} a period")
+
+
+def period_error(problem: Problem, mode: np.ndarray, omega: float, count: int) -> float:
+    """Return |z(T) - z(0)| / |z(0)| after `count` steps over one period of a mode (n, d)."""
+    body = replace(problem.body, load=np.zeros_like(problem.body.load))
+    dt = 2 * pi / omega / count
+    stepper = STEPPERS[problem.method.stepper](body, dt, problem.method)
+    X = body.mesh.points
+    scale = 1e-3 * body.mesh.size / np.abs(mode).max()  # the body is linear: any size does
+    state = State(0, X + scale * mode, np.zeros_like(X))
+    for _ in range(count):
+        state, _ = stepper.step(state)
+    weighted = body.momentum(mode) / scale
+    z = (weighted * (state.x - X)).sum() + 1j * (weighted * state.v).sum() / omega
+    return float(abs(z - 1))

@@ -1,0 +1,388 @@
+"""Inline .vtu read without VTK: the same numbers as VTK's, nothing else taken for one, damage told."""
+
+import random
+import tracemalloc
+
+import numpy as np
+import pytest
+import pyvista
+import vtk
+import xarray
+
+from pipeline.errors import SeriesError
+from pipeline.formats import vtk_readers as grids
+from pipeline.formats import vtu_read as inline
+from pipeline.formats.vtu_read import inline_file
+from pipeline.series import read_series
+from pipeline.series import xarray_plugin as engine
+from pipeline.series.dataset_writer import dataset_to_pvd
+from pipeline.series.frame_files import read_grid
+from tests.series.test_series import CELLS, POINTS, TIMES, fields, grid_at, moved, opened, pvd, written
+
+
+def rich(t: float = 0.1) -> pyvista.UnstructuredGrid:
+    """A frame with a field of every kind."""
+    grid = grid_at(t, numbers=True)
+    rng = np.random.default_rng(1)
+    for name, dtype in (("bytes", "u1"), ("short", "i2"), ("counts", "u4"), ("ids", "i8"), ("half", "f4")):
+        grid.point_data[name] = rng.integers(0, 99, len(POINTS)).astype(dtype)
+    grid.cell_data["stress"] = rng.normal(size=(len(CELLS), 9))
+    grid.cell_data["plane"] = rng.normal(size=(len(CELLS), 2))
+    grid.field_data["TimeValue"] = [t]
+    grid.field_data["three"] = np.array([[1.0, 2.0, 3.0]])
+    grid.field_data["words"] = ["two", "words <&>"]
+    return grid
+
+
+def saved(grid, path, *, mode="inline", compressor="zlib", order="little", ids=64, header=32):
+    writer = vtk.vtkXMLUnstructuredGridWriter()
+    writer.SetFileName(str(path))
+    writer.SetInputData(grid)
+    {"inline": writer.SetDataModeToBinary, "ascii": writer.SetDataModeToAscii,
+     "appended": writer.SetDataModeToAppended}[mode]()  # fmt: skip
+    {"zlib": writer.SetCompressorTypeToZLib, "none": writer.SetCompressorTypeToNone,
+     "lz4": writer.SetCompressorTypeToLZ4}[compressor]()  # fmt: skip
+    writer.SetByteOrderToBigEndian() if order == "big" else writer.SetByteOrderToLittleEndian()
+    writer.SetIdTypeToInt32() if ids == 32 else writer.SetIdTypeToInt64()
+    writer.SetHeaderTypeToUInt32() if header == 32 else writer.SetHeaderTypeToUInt64()
+    writer.SetBlockSize(1024)  # several blocks an array, the last one shorter
+    assert writer.Write()
+    return path
+
+
+def assert_same(path):
+    mine, theirs = grids.inline_grid(path), grids.read_grid(path)
+    assert mine is not None and mine.count == len(theirs.points)
+    for name in ("points", "types", "offsets", "connectivity"):
+        a, b = getattr(mine, name), getattr(theirs, name)
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+    for kind in ("point_data", "cell_data", "field_data"):
+        a, b = getattr(mine, kind), getattr(theirs, kind)
+        assert set(a) == set(b)
+        for name in a:
+            assert a[name].shape == b[name].shape and a[name].flags.writeable
+            assert a[name].dtype == b[name].dtype
+            np.testing.assert_array_equal(a[name], b[name])
+
+
+@pytest.mark.parametrize("order", ["little", "big"])
+@pytest.mark.parametrize("header", [32, 64])
+@pytest.mark.parametrize("compressor", ["zlib", "none"])
+def test_the_numbers_are_those_that_vtk_reads(tmp_path, order, header, compressor):
+    ids = 32 if order == "big" else 64
+    assert_same(saved(rich(), tmp_path / "f.vtu", order=order, header=header, compressor=compressor, ids=ids))
+
+
+def test_other_writers_too(tmp_path):
+    import meshio
+
+    rich().save(tmp_path / "pyvista.vtu")
+    assert_same(tmp_path / "pyvista.vtu")
+    data = {"u": moved(0.3), "k": np.arange(len(POINTS))}
+    for compression in ("zlib", None):
+        meshio.write(tmp_path / "m.vtu", meshio.Mesh(POINTS, [("tetra", CELLS)], data), compression=compression)
+        assert_same(tmp_path / "m.vtu")
+    dataset = opened(fields(tmp_path))
+    dataset.attrs["title"] = "wörds <&>"
+    path = dataset_to_pvd(dataset, tmp_path / "ours.pvd")
+    for frame in sorted((tmp_path / "ours").iterdir()):
+        assert_same(frame)
+    assert opened(path).attrs["title"] == "wörds <&>"
+
+
+@pytest.mark.parametrize("way", [{"mode": "ascii"}, {"mode": "appended"}, {"compressor": "lz4"}])
+def test_what_is_written_otherwise_is_left_to_vtk(tmp_path, way):
+    path = saved(rich(), tmp_path / "f.vtu", **way)
+    assert inline_file(path) is None and grids.read_grid(path).point_data["speed"][-1] == 1
+
+
+def test_ghost_cells_pieces_and_doctypes_are_left_to_vtk(tmp_path):
+    grid = rich()
+    grid.cell_data["vtkGhostType"] = np.zeros(len(CELLS), dtype=np.uint8)
+    assert inline_file(saved(grid, tmp_path / "ghosts.vtu")) is None
+    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    start, end = text.index("<Piece"), text.index("</Piece>") + len("</Piece>")
+    for name, changed in {
+        "pieces": text[:end] + text[start:end] + text[end:],
+        "doctype": text.replace("?>", '?><!DOCTYPE a [<!ENTITY b "c">]>', 1),
+        "twice": text.replace('Name="speed"', 'Name="bytes"'),
+        "far corner": text.replace('NumberOfPoints="27"', 'NumberOfPoints="9"'),
+    }.items():
+        (tmp_path / f"{name}.vtu").write_text(changed)
+        assert inline_file(tmp_path / f"{name}.vtu") is None, name
+    (tmp_path / "f.vtu").write_text(text)
+    assert inline_file(tmp_path / "f.vtu") is not None
+
+
+def long_text(text):
+    """Where the numbers of the array stress begin, long enough to be kept from the XML parser."""
+    return text.index(">", text.index('Name="stress"')) + 1
+
+
+def test_numbers_are_found_whatever_xml_stands_about_them(tmp_path, monkeypatch):
+    text = saved(rich(), tmp_path / "f.vtu", compressor="none").read_text()
+    at = long_text(text)
+    first = at + len(text[at:]) - len(text[at:].lstrip())
+    ways = {
+        "comment": text[:at] + '<!-- <a b="c"> -->' + text[at:],
+        "references": f"{text[:first]}&#{ord(text[first])};{text[first + 1 :]}",
+        "end within": text.replace('Name="stress"', """one='a>"b' other="'>" Name="stress" """),
+        "instruction": text.replace("<PointData", "<?a <b>?><PointData", 1),
+        "apostrophes": text.replace('Name="stress"', "Name = 'stress'"),
+    }
+    for name, changed in ways.items():  # VTK itself stumbles on some of these
+        assert changed != text
+        (tmp_path / f"{name}.vtu").write_text(changed)
+        found = inline_file(tmp_path / f"{name}.vtu").sections[1]["stress"]
+        np.testing.assert_array_equal(found, rich().cell_data["stress"])
+    parsed = []
+    plain = inline.ElementTree.fromstring
+    monkeypatch.setattr(inline.ElementTree, "fromstring", lambda content: parsed.append(content) or plain(content))
+    (tmp_path / "f.vtu").write_text(text)
+    assert_same(tmp_path / "f.vtu")
+    assert text[first : first + 300].encode() not in parsed[0]
+
+
+@pytest.mark.parametrize("said", ["@K", "@ K", "@+K", "@0K", "&#64;K", "@<?x?>K", "@-1", "@99", "@x", "@"])
+def test_what_stands_for_a_text_is_not_taken_from_the_file(tmp_path, said):
+    """K is the place of another array, of the same size: its numbers would do."""
+    grid = rich()
+    grid.cell_data["other"] = np.random.default_rng(2).normal(size=(len(CELLS), 9))
+    text = saved(grid, tmp_path / "f.vtu", compressor="none").read_text()
+    at = long_text(text)
+    before, after = text[:at], text[text.index("<", at) :]
+    other = after[after.index(">", after.index('Name="other"')) + 1 :].split("<")[0].strip()
+    (place,) = (k for k, one in inline._without_texts((before + after).encode())[1].items() if one == other.encode())
+    (tmp_path / "f.vtu").write_text(before + said.replace("K", place.decode()[1:]) + after)
+    assert inline_file(tmp_path / "f.vtu") is None
+
+
+def test_many_attributes_take_little_memory(tmp_path):
+    """The regular expression that finds where an attribute ends keeps hundreds of bytes of each."""
+    attributes = ' a=""' * 200_000  # which no parser takes
+    (tmp_path / "f.vtu").write_text(f'<?xml version="1.0"?><VTKFile{attributes}>{"A" * 300}</VTKFile>')
+    tracemalloc.start()
+    assert inline_file(tmp_path / "f.vtu") is None
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20 * (tmp_path / "f.vtu").stat().st_size
+
+
+@pytest.mark.parametrize("name", ["types", "connectivity", "Points"])
+def test_arrays_of_no_components_are_left_to_vtk(tmp_path, name):
+    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    start = text.index(f'Name="{name}"')
+    end = text.index(">", start)
+    none = text[start:end].replace(' NumberOfComponents="3"', "") + ' NumberOfComponents="0"'
+    (tmp_path / "f.vtu").write_text(text[:start] + none + text[end:])
+    assert inline_file(tmp_path / "f.vtu") is None
+    if name == "Points":
+        with pytest.raises(SeriesError, match=r"f\.vtu: cannot be read \("):
+            read_series(tmp_path / "f.vtu")
+    else:  # it does not look at their components
+        assert len(read_series(tmp_path / "f.vtu")) == 1
+
+
+def test_cells_that_are_no_integers_are_left_to_vtk(tmp_path):
+    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    changed = text.replace('"Int64" IdType="1" Name="conn', '"Float64" Name="conn')
+    assert changed != text
+    (tmp_path / "f.vtu").write_text(changed)
+    assert inline_file(tmp_path / "f.vtu") is None
+
+
+def test_one_text_does_not_make_all_of_them_long(tmp_path, monkeypatch):
+    words = grids.inline_grid(saved(rich(), tmp_path / "f.vtu")).field_data
+    longest = 4 * 2 * len("words <&>")
+    monkeypatch.setattr(inline, "_LEAST_BYTES", longest)
+    assert words["words"].nbytes == longest
+    monkeypatch.setattr(inline, "_LEAST_BYTES", longest - 1)
+    with pytest.raises(SeriesError, match="2 texts that differ too much"):
+        words["words"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [('NumberOfPoints="27"', 'NumberOfPoints="-27"'), ('version="1.0"?', 'version="1.0" encoding="nonsense"?')],
+)
+def test_what_makes_no_sense_is_told_in_one_line(tmp_path, old, new):
+    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    changed = text.replace(old, new, 1).replace('Components="3"', 'Components="-3"')
+    assert old in text
+    (tmp_path / "f.vtu").write_text(changed)
+    assert inline_file(tmp_path / "f.vtu") is None
+    with pytest.raises(SeriesError, match=r"f\.vtu: .+") as caught:
+        read_series(tmp_path / "f.vtu")
+    assert "\n" not in str(caught.value)
+
+
+def test_more_than_the_memory_is_for_the_guarded_child(tmp_path, monkeypatch):
+    path = saved(rich(), tmp_path / "f.vtu")
+    monkeypatch.setattr(inline, "_LEAST_BYTES", 1000)
+    monkeypatch.setattr(inline, "_BYTES_PER_BYTE", 0)
+    assert inline_file(path) is None
+
+
+def test_a_large_file_is_left_to_the_guarded_child_unread(tmp_path, monkeypatch):
+    path = saved(rich(), tmp_path / "f.vtu")
+    monkeypatch.setattr(inline, "_LARGEST", path.stat().st_size)
+    assert inline_file(path) is not None
+    monkeypatch.setattr(inline, "_LARGEST", path.stat().st_size - 1)
+    monkeypatch.setattr(inline.ElementTree, "fromstring", lambda _: pytest.fail("read"))
+    assert inline_file(path) is None
+    assert read_grid(path).point_data["speed"][-1] == 1
+
+
+@pytest.mark.parametrize("many", ["<a/>" * 300_000, "<a " + " ".join(f"a{i}=''" for i in range(150_000)) + "/>"])
+def test_elements_without_number_are_left_to_the_guarded_child(tmp_path, monkeypatch, many):
+    path = saved(rich(), tmp_path / "f.vtu")
+    path.write_text(path.read_text().replace("<PointData", many + "<PointData", 1))
+    assert inline_file(path) is not None
+    monkeypatch.setattr(inline, "_MOST_MARKS", 250_000)
+    assert inline_file(path) is None
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_entities_in_wide_characters_are_not_read_inline(tmp_path, encoding):
+    text = saved(rich(), tmp_path / "f.vtu").read_text().partition("?>")[2].replace('Name="speed"', 'Name="&b;"')
+    (tmp_path / "f.vtu").write_bytes(f'<!DOCTYPE a [<!ENTITY b "c">]>{text}'.encode(encoding))
+    assert inline_file(tmp_path / "f.vtu") is None
+    with pytest.raises(SeriesError, match="UTF-16"):
+        read_grid(tmp_path / "f.vtu")
+
+
+def numbers(grid):
+    kinds = ("point_data", "cell_data", "field_data")
+    return {"points": grid.points, **{f"{k} {name}": a for k in kinds for name, a in getattr(grid, k).items()}}
+
+
+def test_damage_is_told_and_never_taken_for_numbers(tmp_path):
+    """Any byte changed: refused, left to VTK, or the very numbers (as in names and spaces)."""
+    content = saved(rich(), tmp_path / "f.vtu", header=64).read_bytes()
+    whole = numbers(grids.inline_grid(tmp_path / "f.vtu"))
+    rng, refused = random.Random(3), 0
+    for _ in range(300):
+        changed = bytearray(content)
+        changed[rng.randrange(len(changed))] = rng.randrange(256)
+        (tmp_path / "bad.vtu").write_bytes(changed)
+        try:
+            grid = grids.inline_grid(tmp_path / "bad.vtu")
+            read = {} if grid is None else numbers(grid)
+        except SeriesError as error:
+            assert str(error).startswith(str(tmp_path / "bad.vtu")) and "\n" not in str(error)
+            refused += 1
+            continue
+        for name in read.keys() & whole.keys():
+            same_kind = read[name].dtype == whole[name].dtype and read[name].shape == whole[name].shape
+            assert not same_kind or np.array_equal(read[name], whole[name])
+    assert refused > 20
+
+
+def test_a_damaged_field_costs_only_who_asks_for_it(tmp_path):
+    source = written(tmp_path, numbers=True)
+    path = tmp_path / "f1.vtu"
+    text = path.read_text()
+    start = text.index(">", text.index('Name="speed"')) + 60
+    path.write_text(text[:start] + ("A" if text[start] != "A" else "B") + text[start + 1 :])
+    assert len(list(read_series(source))) == 3
+    dataset = opened(source)
+    assert np.isfinite(dataset["displacement"].values).all()
+    with pytest.raises(SeriesError, match=r"f1\.vtu: cannot be read .the array speed"):
+        dataset["speed"].load()
+
+
+def test_all_fields_cost_one_reading_of_each_frame(tmp_path, monkeypatch):
+    counts = []
+    read = inline._read
+    monkeypatch.setattr(inline, "_read", lambda file: counts.append(file.name) or read(file))
+    source = written(tmp_path, numbers=True)
+    opened(source).load()
+    assert counts.count("f1.vtu") <= 2  # once to see whether the points move
+    counts.clear()
+    monkeypatch.setattr(engine, "_KEPT_BYTES", 0)  # a series that is too long
+    opened(source).load()
+    assert counts.count("f1.vtu") == 3
+
+
+@pytest.mark.parametrize("mode", ["inline", "appended"])
+def test_points_are_counted_and_cells_held_once(tmp_path, monkeypatch, mode):
+    for i in range(12):
+        saved(grid_at(i / 10), tmp_path / f"f{i:02}.vtu", mode=mode, compressor="none")
+    store = engine.Store(read_series(tmp_path))
+    grids = [store.grid(i) for i in range(12)]
+    size = grids[0].nbytes
+    assert POINTS.nbytes <= size < 1.5 * POINTS.nbytes  # in base64 where it is inline
+    for name in ("types", "offsets", "connectivity"):
+        assert len({id(getattr(grid, name)) for grid in grids}) == 1
+    monkeypatch.setattr(engine, "_KEPT_BYTES", 5 * size)
+    store = engine.Store(read_series(tmp_path))
+    for i in range(12):
+        store.grid(i)
+        assert len(store._kept) == min(i + 1, 5)
+
+
+def test_cells_that_change_are_seen_by_every_field(tmp_path):
+    source = written(tmp_path, numbers=True)
+    cells = CELLS.copy()
+    cells[0] = cells[1]
+    grid = pyvista.UnstructuredGrid({10: cells}, moved(0.1))
+    grid.point_data["speed"] = np.zeros(len(POINTS))
+    grid.save(tmp_path / "f1.vtu")
+    with pytest.raises(SeriesError, match=r"f1\.vtu: its cells are not those of the first frame"):
+        opened(source)["speed"].load()
+
+
+def test_any_part_of_a_field(tmp_path):
+    dataset, whole = opened(fields(tmp_path)), opened(fields(tmp_path)).load()
+    for key in ({"time": 1}, {"node": [5, 2, 2]}, {"node": 3, "axis": [0, 2]}, {"time": slice(None, None, -1)},
+                {"time": [2, 0], "node": slice(1, 9, 3), "axis": 1}, {"time": [], "node": 3}):  # fmt: skip
+        xarray.testing.assert_identical(dataset["displacement"].isel(key), whole["displacement"].isel(key))
+
+
+def test_points_of_the_body_are_probed(tmp_path):
+    dataset = opened(fields(tmp_path))
+    points = np.array([[0.3, 1.2, 0.7], [2, 2, 2], [0, 0, 0], [1.99, 0.01, 1.5]])
+    found = dataset.series.probe("displacement", points)
+    assert found.dims == ("time", "point", "axis") and found.attrs == dataset["displacement"].attrs
+    assert found.values == pytest.approx(np.stack([points * 0.5 * t for t in TIMES]), abs=1e-13)
+    outside = dataset.series.probe("displacement", [[0.3, 1.2, 0.7], [0, 0, 2.01]])
+    assert np.isnan(outside.values[:, 1]).all() and np.isfinite(outside.values[:, 0]).all()
+    centres = POINTS[CELLS].mean(axis=1)
+    ratio = dataset.series.volume_ratio()
+    xarray.testing.assert_equal(dataset.series.probe(ratio, centres), ratio.rename(cell="point"))
+    assert np.isnan(dataset.series.probe(ratio, [9, 9, 9]).values).all()
+    assert dataset.series.probe(ratio[0], centres[3]).dims == ("point",)
+    with pytest.raises(SeriesError, match="neither nodes nor cells"):
+        dataset.series.probe(ratio.mean("cell"), centres)
+    with pytest.raises(SeriesError, match=r"\(p, 3\), not \(1, 2\)"):
+        dataset.series.probe("displacement", [1, 2])
+
+
+def test_probing_chunks_of_dask(tmp_path):
+    pytest.importorskip("dask")
+    points = [[0.3, 1.2, 0.7]]
+    lazy = opened(fields(tmp_path), chunks={}).series.probe("displacement", points)
+    assert lazy.chunks is not None
+    assert lazy.values == pytest.approx(opened(fields(tmp_path)).series.probe("displacement", points).values)
+
+
+def test_cells_are_extracted_with_their_nodes(tmp_path):
+    dataset = opened(fields(tmp_path))
+    chosen = [7, 2]
+    part = dataset.series.extract(chosen)
+    assert part.sizes["cell"] == 2 and part.sizes["node"] == len(np.unique(CELLS[chosen]))
+    xarray.testing.assert_equal(part.series.volume_ratio(), dataset.series.volume_ratio().isel(cell=chosen))
+    mask = np.isin(np.arange(len(CELLS)), chosen)
+    assert dataset.series.extract(mask)["connectivity"].attrs == dataset["connectivity"].attrs
+    xarray.testing.assert_identical(opened(part.series.to_pvd(tmp_path / "part.pvd")), part)
+
+
+def test_a_series_that_is_not_inline_is_a_dataset_too(tmp_path):
+    for i, t in enumerate(TIMES):
+        saved(rich(t), tmp_path / f"f{i}.vtu", mode="appended")
+    source = pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
+    appended = opened(source).load()
+    for i, t in enumerate(TIMES):
+        saved(rich(t), tmp_path / f"f{i}.vtu")
+    xarray.testing.assert_identical(opened(source).load(), appended)

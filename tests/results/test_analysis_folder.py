@@ -1,0 +1,207 @@
+"""Foreign series measured and compared, streamed however long they are."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+import pyvista
+import xarray
+
+from pipeline.analysis.statistics import series_statistics
+from pipeline.errors import SeriesError
+from pipeline.results.analysis_folder import analyze, compare
+from pipeline.series import read_series
+from tests.bodies import assert_conventional, without_figures
+from tests.series.test_series import CELLS, GROWTH, POINTS, TIMES, grid_at, moved, pvd, written
+
+
+def series_at(folder, times, name="their", grow=lambda t: t):
+    folder.mkdir(exist_ok=True)
+    for i, t in enumerate(times):
+        grid_at(grow(t)).save(folder / f"f{i}.vtu")
+    return read_series(pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(times)]), name=name)
+
+
+def test_an_analysis_is_the_dataset_of_the_series(tmp_path):
+    seen = []
+    source = written(tmp_path)
+    result = analyze(source, tmp_path / "out", on_frame=lambda *args: seen.append(args))
+    assert [path.name for path in result.made] == ["statistics.nc", "volume.png"]
+    assert all(path.stat().st_size for path in result.made)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["statistics.nc", "volume.png"]
+    assert seen == [(tmp_path.name, i + 1, 3) for i in range(3)]
+    assert result.worst_volume_ratio == pytest.approx((1 + GROWTH * TIMES[-1]) ** 3)
+    assert (result.frames, result.worst_time) == (3, TIMES[-1])
+    with xarray.open_dataset(result.made[0]) as dataset:
+        assert_conventional(dataset)
+        xarray.testing.assert_equal(dataset, series_statistics(read_series(source)))
+
+
+def test_what_not_every_frame_says_is_nan_there(tmp_path, monkeypatch):
+    without_figures(monkeypatch)
+    for i, t in enumerate(TIMES):
+        grid = grid_at(t)
+        if i != 1:
+            grid.field_data["kinetic_energy"] = [2.0]
+        grid.save(tmp_path / f"f{i}.vtu")
+    result = analyze(pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)]), tmp_path / "out")
+    with xarray.open_dataset(result.made[0]) as dataset:
+        np.testing.assert_equal(dataset["kinetic_energy"].values, [2.0, np.nan, 2.0])
+
+
+def test_a_series_that_breaks_off_leaves_nothing_half_written(tmp_path):
+    source = written(tmp_path)
+    pyvista.UnstructuredGrid({10: CELLS[:-1]}, moved(0.1)).save(tmp_path / "f1.vtu")
+    with pytest.raises(SeriesError, match="topology changes"):
+        analyze(source, tmp_path / "out")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_memory_does_not_grow_with_the_frames(tmp_path, monkeypatch):
+    """Twenty times the frames of the same three files; what Python and numpy hold at the most."""
+    without_figures(monkeypatch)
+    grid = pyvista.ImageData(dimensions=(16, 16, 16)).cast_to_unstructured_grid().triangulate()
+    for i, t in enumerate(TIMES):
+        one = grid.copy()
+        one.points = np.asarray(grid.points) * (1 + t)
+        one.save(tmp_path / f"f{i}.vtu")
+    monkeypatch.setattr("pipeline.results.analysis_folder._DRAWN_VALUES", 4 * grid.n_cells)
+    peaks = []
+    for count in (4, 4, 80):  # once before: imports and compiled kernels stay
+        source = pvd(tmp_path, [(float(k), f"f{k % 3}.vtu") for k in range(count)])
+        tracemalloc.start()
+        analyze(source, tmp_path / "out")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # the ratios of 80 frames alone would be ten of its frames more
+    assert peaks[2] < 1.15 * peaks[1], peaks
+
+
+def test_a_long_series_is_drawn_from_some_frames_and_the_worst(tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.results.analysis_folder._DRAWN_POINTS", 3 * len(CELLS))
+    times = [float(t) for t in range(9)]
+    result = analyze(series_at(tmp_path / "a", times, grow=lambda t: 1.0 if t == 5 else 0.0), tmp_path / "out")
+    assert any("shows 4 of 9 frames, the worst among them" in note for note in result.notes)
+
+
+def test_series_side_by_side(tmp_path):
+    a = series_at(tmp_path / "a", TIMES, "a")
+    b = series_at(tmp_path / "b", TIMES, "a", grow=lambda t: 2 * t)
+    result = compare([a, b], tmp_path / "out", difference=True)
+    assert [path.name for path in result.made] == ["comparison.nc", "volume.png", "distance.png"]
+    with xarray.open_dataset(result.made[0]) as dataset:
+        assert_conventional(dataset)
+        assert dataset["method"].values.tolist() == ["a", "a_2"]
+        assert dataset["volume_ratio"].dims == ("method", "time", "cell")
+        for name, one in (("a", a), ("a_2", b)):
+            own = series_statistics(one)
+            for variable in own.data_vars:
+                mine = (
+                    dataset[variable].sel({"method": name}, drop=True)
+                    if variable != "rest_volume"
+                    else dataset[variable]
+                )
+                xarray.testing.assert_equal(mine, own[variable])
+        expected = (1 + GROWTH * 2 * TIMES[2]) ** 3 - (1 + GROWTH * TIMES[2]) ** 3
+        assert dataset["volume_ratio_difference"].values[1, 2] == pytest.approx(expected)
+        assert (dataset["volume_ratio_difference"].values[0] == 0).all()
+
+
+def swinging(folder, times, name, grow, velocity=None):
+    """A series of deformed points with a velocity; nodes that no cell names come first."""
+    folder.mkdir()
+    for i, t in enumerate(times):
+        grid = pyvista.UnstructuredGrid({10: CELLS + 2}, np.vstack([np.full((2, 3), 9.0), moved(grow(t))]))
+        if velocity:
+            grid.point_data["velocity"] = np.full((grid.n_points, 3), velocity(t))
+        grid.save(folder / f"f{i}.vtu")
+    return read_series(pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(times)]), name=name)
+
+
+def test_differences_of_the_nodes(tmp_path):
+    a = swinging(tmp_path / "a", TIMES, "a", lambda t: t, lambda t: 1 + t)
+    b = swinging(tmp_path / "b", TIMES, "b", lambda t: t * (0.25 - t) * 30, lambda t: 1 + 3 * t)
+    c = swinging(tmp_path / "c", TIMES, "c", lambda t: 2 * t)
+    seen = []
+    result = compare([a, b, c], tmp_path / "out", difference=True, on_frame=lambda *args: seen.append(args))
+    assert seen[-3:] == [("difference of nodes", k, 3) for k in (1, 2, 3)]
+    far = np.linalg.norm(POINTS, axis=1)
+    with xarray.open_dataset(result.made[0]) as dataset:
+        assert_conventional(dataset)
+        apart = dataset["displacement_difference"]
+        assert apart.dims == ("method", "time", "node", "axis") and apart.attrs["units"] == "m"
+        assert (apart[0] == 0).all()
+        assert apart[1, 1].values == pytest.approx(GROWTH * (0.45 - 0.1) * POINTS)
+        assert apart[2].values == pytest.approx(np.stack([GROWTH * t * POINTS for t in TIMES]), abs=1e-14)
+        assert dataset["velocity_difference"][1, :, 3, 0].values == pytest.approx([0, 0.2, 0.5])
+        assert dataset["velocity_difference"][2].isnull().all()
+        worst, rms = dataset["node_distance_worst"], dataset["node_distance_rms"]
+        assert worst[1].values == pytest.approx([0, GROWTH * 0.35 * far.max(), GROWTH * 0.25 * far.max()])
+        assert rms[2].values == pytest.approx([GROWTH * t * np.sqrt(np.mean(far**2)) for t in TIMES])
+    assert [one.name for one in result.apart] == ["b", "c"]
+    one = result.apart[0]
+    assert one.worst == pytest.approx(GROWTH * 0.35 * far.max()) and one.node == far.argmax() + 2
+    assert (one.time, one.rms_time) == (0.1, 0.1) and one.rms == pytest.approx(one.worst * rms[1, 1] / worst[1, 1])
+    without = compare([a, b], tmp_path / "without")
+    assert without.apart == ()
+    with xarray.open_dataset(without.made[0]) as dataset:
+        assert "node" not in dataset.dims
+
+
+def test_differences_of_nodes_between_frames(tmp_path, monkeypatch):
+    without_figures(monkeypatch)
+    a = swinging(tmp_path / "a", [0.0, 0.3, 0.9], "a", lambda t: t, lambda t: t)
+    b = swinging(tmp_path / "b", [0.0, 0.1 + 0.2, 0.6, 0.8, 1.2], "b", lambda t: t, lambda t: t**2)
+    result = compare([b, a], tmp_path / "out", difference=True)
+    assert any("on the chord" in note for note in result.notes)
+    with xarray.open_dataset(result.made[0]) as dataset:
+        assert dataset["time"].values == pytest.approx([0, 0.3, 0.9])
+        assert dataset["node_distance_worst"].values == pytest.approx(0, abs=1e-14)
+        chord = 0.75 * 0.8**2 + 0.25 * 1.2**2
+        assert dataset["velocity_difference"][1, :, 0, 0].values == pytest.approx([0, 0.3 - 0.3**2, 0.9 - chord])
+
+
+def test_other_times_are_interpolated_and_that_is_said(tmp_path, monkeypatch):
+    without_figures(monkeypatch)
+    a = series_at(tmp_path / "a", [0.0, 1.0, 2.0], "a")
+    b = series_at(tmp_path / "b", [0.0, 0.5, 1.5, 2.5], "b")
+    result = compare([a, b], tmp_path / "out")
+    assert any("has the 3 of a from 0 to 2 s" in note and "interpolated" in note for note in result.notes)
+    with xarray.open_dataset(result.made[0]) as dataset:
+        assert dataset["time"].values.tolist() == [0.0, 1.0, 2.0]
+        between = ((1 + GROWTH * 0.5) ** 3 + (1 + GROWTH * 1.5) ** 3) / 2
+        assert dataset["volume_ratio"].sel({"method": "b", "time": 1.0}).values == pytest.approx(between)
+        assert dataset["volume_ratio_quantile"].sel({"method": "b", "time": 1.0}).values == pytest.approx(between)
+    late = series_at(tmp_path / "late", [7.0, 8.0], "late")
+    with pytest.raises(SeriesError, match="late 7 to 8 s"):
+        compare([a, late], tmp_path / "out2")
+
+
+def test_other_cells_are_compared_as_whole_bodies(tmp_path, monkeypatch):
+    without_figures(monkeypatch)
+    a = series_at(tmp_path / "a", TIMES, "a")
+    (tmp_path / "b").mkdir()
+    for i, t in enumerate(TIMES):
+        pyvista.UnstructuredGrid({10: CELLS[:-1]}, moved(t)).save(tmp_path / "b" / f"f{i}.vtu")
+    b = read_series(pvd(tmp_path / "b", [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)]), name="b")
+    result = compare([a, b], tmp_path / "out")
+    with xarray.open_dataset(result.made[0]) as dataset:
+        assert "volume_ratio" not in dataset and "cell" not in dataset.dims
+        drift = [(1 + GROWTH * t) ** 3 - 1 for t in TIMES]
+        assert dataset["volume_drift"].values == pytest.approx(np.array([drift, drift]))
+    with pytest.raises(SeriesError, match=f"same cells: a has {len(CELLS)} cells of {len(POINTS)} nodes"):
+        compare([a, b], tmp_path / "out", difference=True)
+    with pytest.raises(SeriesError, match="two series or more, not 1"):
+        compare([a], tmp_path / "out")
+
+
+@pytest.mark.opengl
+def test_movies(tmp_path, monkeypatch):
+    without_figures(monkeypatch)
+    monkeypatch.setattr("pipeline.results.analysis_folder._FILM_SECONDS", 2.0)
+    monkeypatch.setattr("pipeline.results.analysis_folder._DRAWN_FRAMES", 3)
+    a, b = (series_at(tmp_path / name, [0.0, 100.0, 200.0, 300.0], name, lambda t: t / 500) for name in "ab")
+    result = compare([a, b], tmp_path / "out", movie=True)
+    assert [path.name for path in result.made[-2:]] == ["movie.mp4", "movie.png"]
+    assert "movie.mp4 shows 3 of the 4 frames of a" in result.notes
+    assert all(path.stat().st_size > 1000 for path in result.made[-2:])

@@ -1,0 +1,66 @@
+"""What a run takes on the disk is known about before it starts; without room it does not start."""
+
+import shutil
+from types import SimpleNamespace
+
+import pytest
+
+from pipeline.case import load_case
+from pipeline.cli import main
+from pipeline.problem.build import build
+from pipeline.results import disk
+from pipeline.results.run_case import run_campaign
+from tests.bodies import PLANAR, without_figures, write_case
+
+
+@pytest.fixture(autouse=True)
+def _no_figures(monkeypatch):
+    without_figures(monkeypatch)
+
+
+def with_free(monkeypatch, size: float) -> None:
+    monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: SimpleNamespace(free=size))
+
+
+@pytest.mark.parametrize(
+    ("cells", "frames", "output"),
+    [
+        ([1, 3, 1], 60, {}),
+        ([4, 12, 4], 12, {}),
+        ([4, 12, 4], 12, {"precision": "float32"}),
+        ([4, 12, 4], 12, {"format": "vtkhdf"}),
+        ([8, 24], 20, {}),
+    ],
+)
+def test_the_estimate_is_within_a_factor_of_two(tmp_path, cells, frames, output):
+    planar = len(cells) == 2
+    shape = {"shape": "rectangle", "size": [1.0, 3.0]} if planar else {"shape": "box", "size": [1.0, 3.0, 1.0]}
+    sections = (PLANAR if planar else {}) | {"mesh": shape | {"cells": cells}}
+    case = load_case(
+        write_case(tmp_path, **sections, variants={"only": {}}, output=output, schedule={"dt": 0.01, "frames": frames})
+    )
+    result = run_campaign(case, tmp_path / "out", movie=False)
+    told = sum(disk.needed_bytes(build(case.variant(name)), case.output) for name in case.variant_names)
+    assert told / 2 < disk._size(result.folder) < 2 * told
+
+
+def test_without_room_nothing_is_solved_and_both_numbers_are_told(tmp_path, monkeypatch, capfd):
+    path = write_case(tmp_path, schedule={"dt": 0.02, "frames": 10**9})
+    with_free(monkeypatch, 5e9)
+    assert main(["run", str(path), "--out", str(tmp_path / "out"), "--no-movie"]) == 4
+    out, err = capfd.readouterr()
+    assert out == "" and err.count("\n") == 1
+    assert "3000000003 frames of linear, gram_schmidt, polar need about 29.8 TB" in err and "5 GB are free there" in err
+    assert [file.name for file in (tmp_path / "out").rglob("*") if file.is_file()] == []
+
+
+def test_what_is_there_already_counts(tmp_path, monkeypatch):
+    case = load_case(write_case(tmp_path, schedule={"dt": 0.02, "frames": 20}))
+    result = run_campaign(case, tmp_path / "out", movie=False)
+    needed = sum(disk.needed_bytes(build(case.variant(name)), case.output) for name in case.variant_names)
+    with_free(monkeypatch, 0.7 * needed)
+    assert run_campaign(case, tmp_path / "out", movie=False, force=True).variants[0].status == "finished"
+    with_free(monkeypatch, 0.0)
+    assert run_campaign(case, tmp_path / "out", movie=False).variants[0].status == "up to date"
+    shutil.rmtree(result.folder / "polar")
+    assert main(["run", str(tmp_path / "beam.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 4

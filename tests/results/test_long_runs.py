@@ -1,0 +1,43 @@
+"""A long run takes no more memory and no more files open at its end than at its beginning."""
+
+import os
+import resource
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.case import load_case
+from pipeline.results.run_case import run_campaign
+from tests.bodies import without_figures, write_case
+
+
+def resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+
+@pytest.mark.slow
+def test_memory_and_open_files_stay_as_they_are(tmp_path, monkeypatch):
+    """20 000 steps in 200 frames, a checkpoint a frame; 100 000 by hand: docs/reliability.md."""
+    without_figures(monkeypatch)
+    case = load_case(
+        write_case(
+            tmp_path,
+            schedule={"dt": 0.002, "steps_per_frame": 100, "frames": 200},
+            output={"checkpoint_frames": 1},
+            variants={"only": {"method.stepper": "bdf2"}},
+        )
+    )
+    memory, files = [], []
+
+    def look(name, problem, frame, summary):
+        memory.append(resident_bytes())
+        files.append(len(os.listdir("/proc/self/fd")))
+
+    result = run_campaign(case, tmp_path / "out", movie=False, notify=look)
+    assert result.variants[0].run["work"]["steps"] == 20_000
+    # the first frames load libraries and fill caches
+    half = np.array(memory[50:], dtype=float)
+    slope = np.polyfit(np.arange(len(half)), half, 1)[0] * len(half)
+    assert slope < 2e6, f"{slope / 1e6:.2g} MB more in {len(half)} frames"
+    assert max(files[10:]) <= min(files[:10]) + 3  # those that are being written at the moment

@@ -1,0 +1,414 @@
+"""From a case to its result folder: what is there afterwards, and what is never overwritten or solved in vain."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+
+from pipeline.case import load_case
+from pipeline.errors import CaseError, OutputError, SolveError
+from pipeline.problem.build import Problem
+from pipeline.results import comparison
+from pipeline.results import run_case as campaign
+from pipeline.results import variant as variant_run
+from pipeline.results.run_case import CampaignResult, run_campaign
+from pipeline.stepping.backward_euler import BackwardEuler
+from tests.bodies import PLANAR, assert_conventional, without_figures, write_case
+
+VARIANTS = ["linear", "gram_schmidt", "polar"]
+SOLVED = {"finished"}
+
+
+@pytest.fixture(autouse=True)
+def _no_figures(monkeypatch):
+    without_figures(monkeypatch)
+
+
+def solve(out: Path, *, overrides=None, sections=None, **keywords) -> CampaignResult:
+    out.mkdir(exist_ok=True)
+    case = load_case(write_case(out.parent, **(sections or {})), overrides=overrides)
+    return run_campaign(case, out, movie=False, **keywords)
+
+
+def statuses(result: CampaignResult) -> dict[str, str]:
+    return {one.name: one.status for one in result.variants}
+
+
+def contents(folder: Path, *patterns: str) -> dict[str, bytes]:
+    found = [path for pattern in patterns or ("*",) for path in folder.rglob(pattern) if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
+
+
+def compared(out: Path) -> xarray.Dataset:
+    with xarray.open_dataset(out / "beam" / "comparison.nc") as dataset:
+        return dataset.load()
+
+
+@pytest.fixture(scope="module", params=["3D", "2D"])
+def done(request, tmp_path_factory):
+    """A finished campaign of three variants; not to be changed."""
+    out = tmp_path_factory.mktemp(request.param) / "outputs"
+    with pytest.MonkeyPatch.context() as patch:
+        without_figures(patch)
+        return solve(out, sections=PLANAR if request.param == "2D" else {})
+
+
+@pytest.fixture(scope="module")
+def _finished(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("finished") / "outputs"
+    with pytest.MonkeyPatch.context() as patch:
+        without_figures(patch)
+        solve(out)
+    return out
+
+
+@pytest.fixture
+def out(tmp_path, _finished) -> Path:
+    """A finished campaign to work on."""
+    return Path(shutil.copytree(_finished, tmp_path / "outputs"))
+
+
+# What is there afterwards
+
+
+def test_every_variant_has_its_files(done):
+    names = {"comparison.nc", "volume.png", "energy.png", "open_in_paraview.py", "case.toml", *VARIANTS}
+    assert {path.name for path in done.folder.iterdir()} == names
+    assert statuses(done) == dict.fromkeys(VARIANTS, "finished") and done.exit_code == 0
+    for name in VARIANTS:
+        files = {path.name for path in (done.folder / name).iterdir()}
+        assert files == {"case.toml", "run.json", "series.pvd", "statistics.nc", "frames"}
+        assert len(list((done.folder / name / "frames").iterdir())) == 5
+    assert set(done.made) == {done.folder / name for name in names if "." in name} - {done.folder / "case.toml"}
+
+
+def test_run_json_says_what_was_done(done):
+    for name in VARIANTS:
+        run = json.loads((done.folder / name / "run.json").read_text())
+        assert (run["name"], run["variant"], run["status"], run["frames"]) == ("beam", name, "finished", 5)
+        assert run["last_frame"] == {"index": 4, "step": 4, "time": 0.08}
+        assert run["work"]["steps"] == run["work"]["solves"] == run["work"]["iterations"] == 4
+        assert (run["work"]["rotations"], run["work"]["factorisations"]) == ((0, 1) if name == "linear" else (4, 4))
+        assert run["seconds"].keys() == {"setup", "solving", "writing", "wall"}
+        assert all(seconds > 0 for seconds in run["seconds"].values())
+        assert run["real_time_factor"] == pytest.approx(0.02 / run["seconds_per_step"])
+        assert {"pipeline", "python", "numpy", "vtk", "netCDF4"} <= run["versions"].keys()
+        assert "message" not in run
+
+
+def test_the_worst_ratio_of_run_json_is_that_of_the_statistics(done):
+    for name in VARIANTS:
+        worst = json.loads((done.folder / name / "run.json").read_text())["worst"]
+        with xarray.open_dataset(done.folder / name / "statistics.nc") as dataset:
+            J = dataset["volume_ratio"].values
+            step, cell = np.unravel_index(np.abs(J - 1).argmax(), J.shape)
+            assert worst == {"volume_ratio": J[step, cell], "cell": cell, "time": dataset["time"].values[step]}
+
+
+def test_the_resolved_case_in_a_result_gives_the_result_again(done, tmp_path):
+    again = run_campaign(load_case(done.folder / "polar" / "case.toml"), tmp_path, movie=False)
+    patterns = ("*.vtu", "*.pvd")
+    assert contents(again.folder / "default", *patterns) == contents(done.folder / "polar", *patterns)
+
+
+def test_the_same_case_twice_gives_the_same_bytes(done, tmp_path):
+    again = run_campaign(load_case(done.folder / "case.toml"), tmp_path, movie=False)
+    patterns = ("*.vtu", "*.pvd", "*.nc")
+    first, second = contents(done.folder, *patterns), contents(again.folder, *patterns)
+    assert len(first) == 3 * (5 + 1 + 1) + 1 and first.keys() == second.keys()
+    assert [name for name in first if first[name] != second[name]] == []
+
+
+def test_the_comparison_joins_the_statistics_of_all_variants(done):
+    with xarray.open_dataset(done.folder / "comparison.nc") as joined:
+        assert joined["method"].values.tolist() == VARIANTS
+        assert joined["volume_ratio"].dims == ("method", "time", "cell") and joined["rest_volume"].dims == ("cell",)
+        for name in VARIANTS:
+            with xarray.open_dataset(done.folder / name / "statistics.nc") as one:
+                xarray.testing.assert_equal(joined.sel({"method": name}).drop_vars("method"), one)
+
+
+def test_the_comparison_follows_the_conventions(done):
+    with xarray.open_dataset(done.folder / "comparison.nc") as joined:
+        assert_conventional(joined)
+        with xarray.open_dataset(done.folder / "linear" / "statistics.nc") as one:
+            for name in one.data_vars:
+                assert joined[name].attrs == one[name].attrs
+
+
+# What is not solved again, and what is never overwritten
+
+
+def test_a_finished_variant_of_the_same_case_is_up_to_date(out, monkeypatch):
+    before = contents(out)
+
+    def never(problem):
+        raise AssertionError("solved again")
+
+    monkeypatch.setattr(variant_run, "frames", never)
+    again = solve(out)
+    assert statuses(again) == dict.fromkeys(VARIANTS, "up to date") and again.exit_code == 0
+    assert contents(out) == before
+
+
+def test_another_movie_alone_is_drawn_anew_and_nothing_is_solved(out, tmp_path, monkeypatch):
+    drawn = []
+
+    def draw(case, folder, shown, *, on_drawing):
+        drawn.append((case.movie.speed, case.movie.title))
+        for name in comparison.DRAWN:
+            (folder / name).touch()
+
+    monkeypatch.setattr(comparison, "draw_movie", draw)
+    monkeypatch.setattr(BackwardEuler, "step", None)
+
+    def again(**movie):
+        case = load_case(write_case(tmp_path, movie=movie))
+        return run_campaign(case, out).made
+
+    assert again() and drawn == [(1.0, None)]  # none was there
+    assert again() == () and len(drawn) == 1
+    assert again(speed=0.5) and drawn[1:] == [(0.5, None)]
+    assert again(speed=0.5, title="t") and drawn[2:] == [(0.5, "t")]
+    assert again(speed=0.5, title="t") == () and len(drawn) == 3
+
+
+def test_an_old_movie_does_not_outlive_an_interruption(out, tmp_path, monkeypatch):
+    movie = out / "beam" / "comparison.mp4"
+    movie.touch()
+
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(campaign, "compare", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(load_case(write_case(tmp_path, movie={"fps": 10})), out)
+    assert not movie.exists()
+
+
+def test_another_movie_is_not_another_case(out):
+    again = solve(out, sections={"movie": {"variants": ["polar"], "fps": 24}})
+    assert set(statuses(again).values()) == {"up to date"}
+
+
+def test_a_result_of_another_case_is_refused_with_the_difference(out):
+    before = contents(out)
+    with pytest.raises(CaseError) as caught:
+        solve(out, overrides={"schedule.dt": 0.01, "material.poisson_ratio": 0.25})
+    text = str(caught.value)
+    assert text.startswith(f"{out / 'beam' / 'linear'}: ") and "--force" in text and "\n" not in text
+    assert "schedule.dt: 0.02 there, 0.01 here" in text and "material.poisson_ratio: 0.3 there, 0.25 here" in text
+    assert contents(out) == before
+    with pytest.raises(CaseError):
+        solve(out, overrides={"schedule.frames": 3})
+
+
+def test_force_replaces_the_result_of_another_case(out):
+    forced = solve(out, overrides={"schedule.frames": 2}, force=True)
+    assert set(statuses(forced).values()) == SOLVED
+    assert len(list((out / "beam" / "polar" / "frames").iterdir())) == 3  # none of the five stayed
+    assert compared(out).sizes["time"] == 3
+
+
+def test_force_solves_the_same_case_again(out):
+    before = contents(out, "*.vtu", "*.nc")
+    assert set(statuses(solve(out, force=True)).values()) == SOLVED
+    assert contents(out, "*.vtu", "*.nc") == before
+
+
+def test_another_version_of_the_program_solves_again(out, monkeypatch):
+    monkeypatch.setattr(campaign, "VERSION", "99.0")
+    assert set(statuses(solve(out)).values()) == SOLVED
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_an_unfinished_result_is_not_overwritten_without_force(out, force):
+    path = out / "beam" / "polar" / "run.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"status": "running"}))
+    if force:
+        assert set(statuses(solve(out, force=True)).values()) == SOLVED
+        return
+    before = contents(out)
+    with pytest.raises(CaseError, match=r"unfinished run of this case.*--force"):
+        solve(out)
+    assert contents(out) == before
+    assert statuses(solve(out, variants=["linear"])) == {"linear": "up to date"}  # the others are not in its way
+
+
+def test_solving_one_variant_keeps_the_others(out):
+    before = contents(out / "beam" / "linear")
+    result = solve(out, variants=["polar"], force=True)
+    assert statuses(result) == {"polar": "finished"}
+    assert contents(out / "beam" / "linear") == before
+    assert compared(out)["method"].values.tolist() == VARIANTS
+
+
+def test_variants_solved_one_by_one_are_compared_in_the_order_of_the_case(tmp_path):
+    for name, wanted in (("polar", ["polar"]), ("linear", ["linear", "polar"])):
+        solve(tmp_path / "outputs", variants=[name])
+        assert compared(tmp_path / "outputs")["method"].values.tolist() == wanted
+
+
+def test_a_variant_of_another_case_stays_out_of_the_comparison(out):
+    solve(out, overrides={"schedule.dt": 0.01}, variants=["polar"], force=True)
+    assert compared(out)["method"].values.tolist() == ["polar"]
+
+
+@pytest.mark.parametrize("text", ["", "{", "null", "[1]", "3"])
+def test_a_run_json_that_is_no_run_is_a_clear_error_and_force_mends_it(out, text):
+    path = out / "beam" / "polar" / "run.json"
+    path.write_text(text)
+    with pytest.raises(OutputError, match=r"run.json: cannot be read .*--force") as caught:
+        solve(out)
+    assert "\n" not in str(caught.value)
+    assert set(statuses(solve(out, force=True)).values()) == SOLVED
+
+
+def test_foreign_files_in_the_folder_stay(out):
+    mine = out / "beam" / "polar" / "notes.txt"
+    mine.write_text("mine")
+    solve(out, force=True)
+    assert mine.read_text() == "mine"
+
+
+# Failures
+
+
+def failing_at(monkeypatch, step: int, method: str = "Linear") -> None:
+    """Let the steppers of one law fail at a step (counted from 1)."""
+    genuine = BackwardEuler.step
+
+    def failing(self, state):
+        if state.step + 1 == step and type(self.body.law).__name__ == method:
+            raise SolveError("it broke")
+        return genuine(self, state)
+
+    monkeypatch.setattr(BackwardEuler, "step", failing)
+
+
+def test_a_variant_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch):
+    failing_at(monkeypatch, 3)
+    result = solve(tmp_path / "outputs")
+    assert statuses(result) == {"linear": "failed", "gram_schmidt": "finished", "polar": "finished"}
+    assert result.exit_code == 3
+    run = json.loads((result.folder / "linear" / "run.json").read_text())
+    assert run["status"] == "failed" and run["frames"] == 3
+    assert run["message"].startswith("it broke (at step 3, t = 0.06 s); after step 2 0 of 18 cells are inverted")
+    assert run["last_frame"] == {"index": 2, "step": 2, "time": 0.04}
+    joined = compared(tmp_path / "outputs")
+    assert joined["method"].values.tolist() == VARIANTS and joined.sizes["time"] == 5
+    finite = np.isfinite(joined["volume_ratio"].values).all(axis=2)
+    assert finite.tolist() == [[True] * 3 + [False] * 2, [True] * 5, [True] * 5]
+    assert joined["time"].values.tolist() == [i * 0.02 for i in range(5)]
+
+
+def test_a_failed_variant_is_solved_again_and_the_others_are_not(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        failing_at(patch, 3)
+        solve(tmp_path / "outputs")
+    again = solve(tmp_path / "outputs")
+    assert statuses(again) == {"linear": "finished", "gram_schmidt": "up to date", "polar": "up to date"}
+    assert np.isfinite(compared(tmp_path / "outputs")["volume_ratio"].values).all()
+
+
+def test_a_variant_that_fails_in_its_first_step_has_one_frame(tmp_path, monkeypatch):
+    failing_at(monkeypatch, 1)
+    result = solve(tmp_path / "outputs")
+    assert result.variants[0].run["frames"] == 1 and result.variants[0].run["seconds_per_step"] is None
+    assert np.isfinite(compared(tmp_path / "outputs")["volume_ratio"].values[0]).all(axis=1).sum() == 1
+
+
+def test_a_variant_that_cannot_start_is_recorded_without_frames(tmp_path, monkeypatch):
+    def failing(self):
+        raise SolveError("no factor")
+
+    monkeypatch.setattr(Problem, "prepare", failing)
+    result = solve(tmp_path / "outputs")
+    assert set(statuses(result).values()) == {"failed"} and result.exit_code == 3
+    assert json.loads((result.folder / "polar" / "run.json").read_text())["message"] == "no factor"
+    assert result.notes and result.made == ()
+
+
+def test_a_run_that_is_interrupted_stays_marked_as_running_with_its_frames(tmp_path, monkeypatch):
+    def interrupted(name, problem, frame, summary):
+        if name == "polar" and frame.index == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve(tmp_path / "outputs", notify=interrupted)
+    folder = tmp_path / "outputs" / "beam" / "polar"
+    assert json.loads((folder / "run.json").read_text())["status"] == "running"
+    assert len(list((folder / "frames").iterdir())) == 3
+    with xarray.open_dataset(folder / "statistics.nc") as dataset:
+        assert dataset.sizes["time"] == 3
+
+
+def test_a_motion_too_large_for_its_numbers_fails_as_a_step_not_as_a_traceback(tmp_path, monkeypatch):
+    """Positions of 1e150 m are finite, their volumes are not."""
+    genuine = BackwardEuler.step
+
+    def leaping(self, state):
+        new, work = genuine(self, state)
+        return replace(new, x=1e150 * new.x), work
+
+    monkeypatch.setattr(BackwardEuler, "step", leaping)
+    result = solve(tmp_path / "outputs")
+    assert set(statuses(result).values()) == {"failed"} and result.exit_code == 3
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {"supports": [{"plane": "y", "at": 99.0}]},
+        {"variants": {"linear": {}, "odd": {"method.law": "plastic"}}},
+        {"mesh": {"file": "none.vtu"}},
+    ],
+    ids=["support", "variant", "mesh"],
+)
+def test_nothing_is_written_for_a_case_that_cannot_be_built(tmp_path, sections):
+    with pytest.raises(CaseError):
+        solve(tmp_path / "outputs", sections=sections)
+    assert list((tmp_path / "outputs").iterdir()) == []
+
+
+def test_an_output_folder_that_is_a_file_is_an_output_error(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    for force in (False, True):
+        with pytest.raises(OutputError, match=r"Not a directory|is a file, not a folder") as caught:
+            run_campaign(load_case(write_case(tmp_path)), tmp_path / "file", movie=False, force=force)
+        assert str(caught.value).startswith(f"{tmp_path / 'file' / 'beam'}")
+
+
+# Variants that differ in more than their method
+
+
+def test_variants_of_the_same_frame_times_are_joined_whatever_their_dt(tmp_path):
+    variants = {"coarse": {}, "fine": {"schedule.dt": 0.005, "schedule.steps_per_frame": 4}}
+    result = solve(tmp_path / "outputs", sections={"variants": variants})
+    assert compared(tmp_path / "outputs")["method"].values.tolist() == ["coarse", "fine"] and not result.notes
+    assert compared(tmp_path / "outputs")["newton_iterations"].values[:, 1].tolist() == [1.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("own", "words"),
+    [
+        ({"schedule.dt": 0.01}, "other is left out of the comparison: its frame times are not those of"),
+        ({"mesh.cells": [1, 6, 1]}, "other is left out of the comparison: its mesh is not that of"),
+        ({"mesh.size": [1.0, 3.0, 2.0]}, "other is left out of the comparison: its mesh is not that of"),
+    ],
+    ids=["times", "cells", "size"],
+)
+def test_variants_that_cannot_be_joined_are_left_out_with_a_note(tmp_path, own, words):
+    result = solve(tmp_path / "outputs", sections={"variants": {"first": {}, "other": own}})
+    assert set(statuses(result).values()) == SOLVED
+    assert [note for note in result.notes if note.startswith(words)]
+    assert compared(tmp_path / "outputs")["method"].values.tolist() == ["first"]
+
+
+def test_a_result_folder_can_be_moved(out, tmp_path):
+    shutil.move(out, tmp_path / "elsewhere")
+    assert set(statuses(solve(tmp_path / "elsewhere")).values()) == {"up to date"}

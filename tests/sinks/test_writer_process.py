@@ -1,0 +1,389 @@
+"""Writing beside solving: the same files and failures as in between, whatever happens to either process."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from pipeline import build, frames, load_case
+from pipeline.errors import OutputError, SolveError
+from pipeline.mesh.shapes import box
+from pipeline.results import resume as record_keeping
+from pipeline.results import variant as variant_run
+from pipeline.results.checkpoint import CheckpointFolder
+from pipeline.results.resume import folder_lock
+from pipeline.run.frame import Frame
+from pipeline.run.frames import Recording, drive
+from pipeline.sinks.frame_formats import FORMATS
+from pipeline.sinks.netcdf import NetcdfSink
+from pipeline.sinks.writer_process import _PIPE, WORTH_A_PROCESS, WriterProcess
+from tests.bodies import write_case
+from tests.results.test_resume import _default_handlers, _no_figures, assert_same_results, solve, written  # noqa: F401
+
+ROOT = Path(__file__).resolve().parents[2]
+MESH = box((1.0, 1.0, 1.0), (1, 1, 1))
+PATIENCE = 90.0  # seconds until a test that would wait for ever fails instead
+WORTH = {"shape": "box", "size": [2.0, 3.0, 1.0], "cells": [5, 7, 5]}  # 1050 cells
+
+
+class Unportable(Exception):
+    def __init__(self, one: str, two: str) -> None:
+        super().__init__(one + two)
+
+
+class Notes:
+    """A line of a text file for each frame; what happens at frame 2 is its subclasses'. It is copied to the writer."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def write(self, frame, measured):
+        if frame.index == 2:
+            self.second()
+        with self.path.open("a") as out:
+            print(frame.index, os.getpid(), measured["volume_drift"], file=out)
+
+    def second(self):
+        pass
+
+    def close(self):
+        with self.path.open("a") as out:
+            print("closed", file=out)
+
+    def lines(self):
+        return [line.split()[0] for line in self.path.read_text().splitlines()]
+
+
+class Full(Notes):
+    def second(self):
+        raise OutputError("frame 2: no room")
+
+
+class Faulty(Notes):
+    def second(self):
+        raise ValueError("a fault of ours")
+
+
+class Odd(Notes):
+    def second(self):
+        raise Unportable("not to be", " copied")
+
+
+class Loud(Notes):
+    def second(self):
+        print("a library's remark", flush=True)
+        os.write(1, b"another\n")
+
+
+class Slow(Notes):
+    def second(self):
+        while not (self.path.parent / "go").exists():
+            time.sleep(0.005)
+
+
+class Stuck(Notes):
+    def close(self):
+        raise OutputError("cannot be closed")
+
+
+@pytest.fixture(scope="module")
+def shared():
+    with WriterProcess() as process:
+        yield process
+
+
+def some_frames(count: int, before=lambda index: None, mesh=MESH):
+    for index in range(count):
+        before(index)
+        yield Frame(index, 0.1 * index, mesh, mesh.points * (1 + 0.01 * index), step=index)
+
+
+def test_frames_are_written_in_order_by_another_process(tmp_path, shared):
+    sink, told = Notes(tmp_path / "notes"), []
+    recording = shared.recording([sink], on_frame=lambda frame, summary: told.append((frame.index, summary.frames)))
+    drive(some_frames(30), recording)
+    assert sink.lines() == [*map(str, range(30)), "closed"]
+    assert told == [(i, i + 1) for i in range(30)]
+    assert {line.split()[1] for line in sink.path.read_text().splitlines()[:-1]} != {str(os.getpid())}
+    here = Recording([])
+    drive(some_frames(30), here)
+    untimed = {"writing_seconds": 0.0, "wall_seconds": 0.0}
+    assert replace(recording.summary, **untimed) == replace(here.summary, **untimed)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_files_are_the_same_as_written_in_between(tmp_path, shared, name):
+    case = load_case(write_case(tmp_path, schedule={"dt": 0.01, "frames": 8}))
+    for folder, record in ((tmp_path / "a", Recording), (tmp_path / "b", shared.recording)):
+        folder.mkdir()
+        sinks = [FORMATS[name].sink(folder, [], "float64", 9), NetcdfSink(folder / "statistics.nc", title="same")]
+        drive(frames(build(case.variant("polar"))), record(sinks))
+    assert len(contents(tmp_path / "a")) == (11 if name == "vtu" else 2)
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+
+
+def contents(folder: Path) -> dict[str, object]:
+    """The bytes of every file; of .vtkhdf, which has the times of its making in it, every array."""
+
+    def arrays(path: Path) -> dict[str, bytes]:
+        with h5py.File(path) as file:
+            found = {}
+            file.visititems(
+                lambda name, one: found.update({name: one[()].tobytes()}) if hasattr(one, "dtype") else None
+            )
+        assert len(found) > 20
+        return found
+
+    paths = [path for path in folder.rglob("*") if path.is_file()]
+    return {
+        str(path.relative_to(folder)): arrays(path) if path.suffix == ".vtkhdf" else path.read_bytes() for path in paths
+    }
+
+
+def test_it_runs_ahead_by_a_bounded_number_of_frames(tmp_path, shared):
+    mesh, solved = box((1.0, 1.0, 1.0), (15, 15, 15)), []  # a frame is more than a pipe holds
+    sink = Slow(tmp_path / "notes")
+    run = threading.Thread(target=lambda: drive(some_frames(40, solved.append, mesh), shared.recording([sink])))
+    run.start()
+    try:
+        deadline = time.monotonic() + PATIENCE
+        while len(solved) < 4 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        run.join(0.5)
+        # two written, one being written, some waiting in the pipe, one that has no room
+        assert run.is_alive() and 4 <= len(solved) <= 5 + _PIPE // mesh.points.nbytes
+    finally:
+        (tmp_path / "go").touch()
+        run.join(PATIENCE)
+    assert sink.lines() == [*map(str, range(40)), "closed"]
+
+
+def test_drain_returns_when_all_is_written_and_told(tmp_path, shared):
+    sink, told = Notes(tmp_path / "notes"), []
+    recording = shared.recording([sink], on_frame=lambda frame, summary: told.append(frame.index))
+    for count, frame in enumerate(some_frames(5), 1):
+        recording.take(frame)
+        recording.drain()
+        assert len(sink.lines()) == count == len(told) == recording.summary.frames
+    recording.close()
+
+
+@pytest.mark.parametrize(
+    "kind, error, message",
+    [
+        (Full, OutputError, "frame 2: no room"),
+        (Faulty, ValueError, "ours"),
+        (Odd, OutputError, "Unportable: not to be copied"),
+    ],
+)
+def test_a_writer_that_fails_stops_the_run_with_its_own_message(tmp_path, shared, kind, error, message):
+    sink, other = kind(tmp_path / "notes"), Notes(tmp_path / "other")
+    recording, after = shared.recording([other, sink]), []
+
+    def solve(index):
+        if index == 3:  # the failure, at frame 2, is heard of before the next is handed over
+            deadline = time.monotonic() + PATIENCE
+            while not recording._failed and time.monotonic() < deadline:
+                time.sleep(0.001)
+        after.append(index)
+
+    with pytest.raises(error, match=message) as caught:
+        drive(some_frames(9, solve), recording)
+    assert after == [0, 1, 2, 3] and sink.lines() == ["0", "1", "closed"] and other.lines() == ["0", "1", "2", "closed"]
+    if kind is Faulty:
+        assert "in second" in caught.value.__notes__[0]
+    # and it is there for the next run
+    drive(some_frames(3), shared.recording([again := Notes(tmp_path / "again")]))
+    assert again.lines() == ["0", "1", "2", "closed"]
+
+
+def test_a_failure_at_the_last_frame_is_raised_on_closing_and_by_drain(tmp_path, shared):
+    with pytest.raises(OutputError, match="no room"):
+        drive(some_frames(3), shared.recording([Full(tmp_path / "notes")]))
+    recording = shared.recording([Full(tmp_path / "drained")])
+    for frame in some_frames(3):
+        recording.take(frame)
+    with pytest.raises(OutputError, match="no room"):
+        recording.drain()
+    recording.close()  # told once
+
+
+def test_what_cannot_be_closed_is_told(tmp_path, shared):
+    with pytest.raises(OutputError, match="cannot be closed"):
+        drive(some_frames(3), shared.recording([Stuck(tmp_path / "notes"), other := Notes(tmp_path / "other")]))
+    assert other.lines() == ["0", "1", "2", "closed"]
+
+
+def test_a_solver_that_fails_leaves_the_frames_before_it(tmp_path, shared):
+    def broken(index):
+        if index == 3:
+            raise SolveError("diverged")
+
+    with pytest.raises(SolveError, match="diverged"):
+        drive(some_frames(9, broken), shared.recording([sink := Notes(tmp_path / "notes")]))
+    assert sink.lines() == ["0", "1", "2", "closed"]
+
+
+def test_what_fails_in_on_frame_is_raised(tmp_path, shared):
+    def impatient(frame, summary):
+        if frame.index == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        drive(some_frames(1000), shared.recording([sink := Notes(tmp_path / "notes")], on_frame=impatient))
+    assert sink.lines()[-1] == "closed"
+
+
+def test_what_is_printed_there_is_no_answer(tmp_path, shared):
+    drive(some_frames(5), shared.recording([sink := Loud(tmp_path / "notes")]))
+    assert sink.lines() == ["0", "1", "2", "3", "4", "closed"]
+
+
+def test_nothing_taken_closes_without_a_word(tmp_path, shared):
+    shared.recording([Notes(tmp_path / "notes")]).close()
+    assert not (tmp_path / "notes").exists()
+
+
+def test_a_process_that_is_killed_is_told_and_the_next_run_has_a_new_one(tmp_path):
+    with WriterProcess() as process:
+        recording = process.recording([Notes(tmp_path / "notes")])
+
+        def kill(index):
+            if index == 3:
+                recording.drain()
+                os.kill(process._process.pid, signal.SIGKILL)
+
+        with pytest.raises(OutputError, match=r"ended by itself \(exit code -9; out of memory\?\)"):
+            drive(some_frames(1000, kill), recording)
+        drive(some_frames(3), process.recording([sink := Notes(tmp_path / "again")]))
+        assert sink.lines() == ["0", "1", "2", "closed"]
+
+
+def test_one_that_cannot_be_started_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "no_python"))
+    with WriterProcess() as process, pytest.raises(OutputError, match=r"cannot be started \(No such file"):
+        process.recording([])
+
+
+def test_an_end_in_the_middle_of_a_message_does_not_wait(tmp_path, monkeypatch):
+    """As a second signal does, which raises wherever the solver's process is."""
+    with WriterProcess() as process:
+        recording = process.recording([Slow(tmp_path / "notes")])
+
+        def interrupted(index):
+            if index == 5:
+                monkeypatch.setattr(recording, "_sending", True)
+                raise KeyboardInterrupt
+
+        began = time.monotonic()
+        with pytest.raises(KeyboardInterrupt):
+            drive(some_frames(9, interrupted), recording)
+        assert time.monotonic() - began < PATIENCE / 3
+
+
+def test_the_lock_outlives_the_one_who_asked_until_nothing_more_is_written(tmp_path, monkeypatch):
+    code = f"""
+import os, pathlib, signal, sys, time
+from pipeline.results.resume import folder_lock
+from pipeline.sinks.writer_process import WriterProcess
+from tests.sinks.test_writer_process import Slow, some_frames
+folder = pathlib.Path({str(tmp_path)!r})
+with folder_lock(folder) as lock:
+    recording = WriterProcess(keep=lock).recording([Slow(folder / "notes")])
+    for frame in some_frames(5):
+        recording.take(frame)
+    while recording.summary.frames < 2:  # it told of two, and waits in the third
+        time.sleep(0.001)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == -signal.SIGKILL
+    with pytest.raises(Exception, match="another run is writing there"), folder_lock(tmp_path):
+        pass
+    (tmp_path / "go").touch()
+    deadline = time.monotonic() + PATIENCE
+    while "closed" not in (lines := Slow(tmp_path / "notes").lines()) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert lines == ["0", "1", "2", "closed"]  # what waited is left out
+    monkeypatch.setattr(record_keeping, "_PATIENCE", PATIENCE)
+    with folder_lock(tmp_path):  # after a moment
+        pass
+
+
+# In a run
+
+
+def test_a_checkpoint_waits_for_the_frames_before_it(tmp_path, monkeypatch):
+    genuine, seen = CheckpointFolder.write, []
+
+    def looking(self, checkpoint):
+        seen.append((checkpoint.summary.frames, len(list(self.folder.parent.glob("frames/frame_*.vtu")))))
+        genuine(self, checkpoint)
+
+    monkeypatch.setattr(CheckpointFolder, "write", looking)
+    monkeypatch.setattr(variant_run, "WORTH_A_PROCESS", 0)
+    solve(written(tmp_path, seconds=1e-9), tmp_path / "out")
+    assert len(seen) == 10 and all(frames == files for frames, files in seen)
+
+
+def test_small_meshes_are_written_in_between(tmp_path, monkeypatch):
+    genuine, remote = WriterProcess.recording, []
+    monkeypatch.setattr(WriterProcess, "recording", lambda self, *a, **k: remote.append(a) or genuine(self, *a, **k))
+    solve(written(tmp_path), tmp_path / "small")
+    assert remote == []
+    path = written(tmp_path / "large", mesh=WORTH)
+    assert len(build(load_case(path).variant("only")).body.mesh.cells) >= WORTH_A_PROCESS
+    run = solve(path, tmp_path / "out").variants[0].run
+    assert len(remote) == 1 and run["frames"] == 6
+    seconds = run["seconds"]
+    assert all(value > 0 for value in seconds.values())
+    assert seconds["solving"] <= seconds["wall"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["SIGKILL", "SIGINT to all", "SIGTERM to all"])
+def test_a_run_that_is_ended_goes_on_to_the_same_files(tmp_path, way):
+    """A terminal's ctrl-C, and a queue that ends a job, reach every process of it."""
+    path = written(tmp_path, mesh=WORTH, schedule={"dt": 0.002, "frames": 150}, seconds=1e-9)
+    command = [sys.executable, "-m", "pipeline.cli", "run", str(path), "--no-movie", "--quiet", "--resume"]
+    child = subprocess.Popen(
+        [*command, "--out", str(tmp_path / "out")],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    folder = tmp_path / "out" / "beam" / "only"
+    while child.poll() is None and not (folder / "frames" / "frame_000020.vtu").exists():
+        time.sleep(0.001)
+    if way == "SIGKILL":
+        child.kill()
+    else:
+        os.killpg(child.pid, getattr(signal, way.split()[0]))
+    err = child.communicate(timeout=PATIENCE)[1]
+    assert (child.returncode, err) == (-9, "") if way == "SIGKILL" else err.startswith("interrupted after step ")
+    assert json.loads((folder / "run.json").read_text())["status"] == ("running" if way == "SIGKILL" else "interrupted")
+    resumed = solve(path, tmp_path / "out", resume=True).variants[0]
+    assert resumed.run["resumed_after_steps"][0] >= 15
+    assert_same_results(solve(path, tmp_path / "whole").variants[0].folder, folder)
+
+
+def test_numbers_are_those_that_are_sent(tmp_path, shared):
+    """Nothing of a frame is rounded or reordered on the way: not even what only the solver knows."""
+    problem = build(load_case(write_case(tmp_path, schedule={"dt": 0.01, "frames": 4})).variant("polar"))
+    import netCDF4
+
+    kept = list(frames(problem))
+    drive(iter(kept), shared.recording([NetcdfSink(tmp_path / "s.nc", title="sent")]))
+    with netCDF4.Dataset(tmp_path / "s.nc") as dataset:
+        for name in ("kinetic_energy", "elastic_energy", "newton_iterations"):
+            assert np.array_equal(dataset[name][:], [frame.known[name] for frame in kept])

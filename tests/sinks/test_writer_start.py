@@ -1,0 +1,130 @@
+"""The process that writes: how it starts, whatever surrounds it, and how it ends when nobody waits for it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from pipeline.errors import OutputError
+from pipeline.run.frames import drive
+from pipeline.sinks.writer_process import WriterProcess
+from tests.sinks.test_writer_process import PATIENCE, ROOT, Notes, Slow, some_frames
+
+
+class Erring(Notes):
+    def second(self):
+        os.write(1, b"a remark")
+        os.write(2, b"a warning")
+
+
+class Senseless(Notes):
+    def second(self):
+        for number in map(int, os.listdir("/proc/self/fd")):
+            with suppress(OSError):
+                os.write(number, b"none of ours") if number > 2 else None
+        time.sleep(PATIENCE)
+
+
+class Importing(Notes):
+    def second(self):
+        import of_the_sink
+
+        assert of_the_sink.LINES == 3
+
+
+@pytest.mark.parametrize("way", ["SIGINT", "SIGTERM"])
+def test_a_process_that_starts_is_not_asked_to_stop(tmp_path, way):
+    """A terminal's ctrl-C reaches it in its first second too, before it has read a line of ours."""
+    with WriterProcess() as process:
+        recording = process.recording([sink := Notes(tmp_path / "notes")])
+        os.kill(process._process.pid, getattr(signal, way))
+        drive(some_frames(3), recording)
+    assert sink.lines() == ["0", "1", "2", "closed"]
+    assert not {signal.SIGINT, signal.SIGTERM} & signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def test_it_is_this_package_that_is_started(tmp_path, monkeypatch):
+    """A working folder may hold a pipeline of its own; colons and what is no text may stand in sys.path."""
+    for name in ("pipeline.py", "signal.py"):
+        (tmp_path / name).write_text("raise SystemExit(7)")
+    (tmp_path / "a:b").mkdir()
+    (tmp_path / "a:b" / "of_the_sink.py").write_text("LINES = 3")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(ROOT), Path("/nowhere"), str(tmp_path / "a:b"), *sys.path[1:]])
+    with WriterProcess() as process:
+        drive(some_frames(3), process.recording([sink := Importing(tmp_path / "notes")]))
+    assert sink.lines() == ["0", "1", "2", "closed"]
+
+
+@pytest.mark.parametrize("words", ["from site\\n", "X" + "y" * 40])
+def test_what_is_printed_before_it_begins_is_no_answer(tmp_path, monkeypatch, words):
+    (tmp_path / "sitecustomize.py").write_text(f"import os; os.write(1, b'{words}')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
+    with WriterProcess() as process:
+        drive(some_frames(3), process.recording([sink := Notes(tmp_path / "notes")]))
+    assert sink.lines() == ["0", "1", "2", "closed"]
+
+
+def test_answers_without_sense_end_it(tmp_path):
+    with WriterProcess() as process:
+        with pytest.raises(OutputError, match="that writes frames make no sense"):
+            drive(some_frames(1000), process.recording([Senseless(tmp_path / "notes")]))
+        drive(some_frames(3), process.recording([sink := Notes(tmp_path / "again")]))
+    assert sink.lines() == ["0", "1", "2", "closed"]
+
+
+def test_nothing_is_written_after_closing_that_is_interrupted(tmp_path, monkeypatch):
+    """The folder is let go next: a process that went on would write beside another run."""
+    process = WriterProcess()
+    recording = process.recording([Slow(tmp_path / "notes")])
+    for frame in some_frames(5):
+        recording.take(frame)
+    child, genuine = process._process, subprocess.Popen.wait
+
+    def impatient(self, timeout=None):
+        if timeout is not None:
+            raise KeyboardInterrupt
+        return genuine(self)
+
+    monkeypatch.setattr(subprocess.Popen, "wait", impatient)
+    with pytest.raises(KeyboardInterrupt):
+        process.close()
+    assert child.returncode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("closed", ["0", "1", "2", "0, 1", "1, 2", "0, 1, 2"])
+def test_closed_standard_streams_are_neither_the_lock_nor_the_answers(tmp_path, closed):
+    code = f"""
+import os, pathlib
+for number in [{closed}]:
+    os.close(number)
+from pipeline.results.resume import folder_lock
+from pipeline.sinks.writer_process import WriterProcess
+from tests.sinks.test_writer_process import some_frames
+from tests.sinks.test_writer_start import Erring
+folder = pathlib.Path({str(tmp_path)!r})
+with folder_lock(folder) as lock, WriterProcess(keep=lock) as process:
+    recording = process.recording([Erring(folder / "notes")])
+    for frame in some_frames(3):
+        recording.take(frame)
+    recording.close()
+    held = [os.path.realpath(one) for one in pathlib.Path(f"/proc/{{process._process.pid}}/fd").glob("*")]
+    (folder / "held").write_text(str(held.count(str(folder / ".lock"))))
+"""
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL, timeout=PATIENCE)
+    assert Erring(tmp_path / "notes").lines() == ["0", "1", "2", "closed"]
+    if sys.platform == "linux":
+        assert (tmp_path / "held").read_text() == "1"
+
+
+def test_python_has_nothing_to_remark(tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv("PYTHONWARNINGS", "always::ResourceWarning")
+    with WriterProcess() as process:
+        drive(some_frames(3), process.recording([Notes(tmp_path / "notes")]))
+    assert capfd.readouterr() == ("", "")

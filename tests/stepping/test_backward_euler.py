@@ -1,0 +1,229 @@
+"""Backward Euler: closed forms, its own energy law, what it conserves, and how much work it does."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import pipeline.problem.methods
+from pipeline.errors import SolveError
+from pipeline.fem.assembly import BlockPattern
+from pipeline.fem.element import deformation_gradient
+from pipeline.fem.loads import body_force
+from pipeline.fem.modes import lowest_frequencies
+from pipeline.linear.cg import block_jacobi_cg
+from pipeline.linear.choice import SuperLU
+from pipeline.mesh.simplex import Mesh
+from pipeline.stepping.backward_euler import damping_ratio
+from pipeline.stepping.state import State, Work
+from tests.bodies import BOXES, METHODS, clamped_bar, motion, solid, spin, stepper, thesis_bar
+
+RNG = np.random.default_rng(3)
+MESHES = pytest.mark.parametrize("mesh", BOXES.values(), ids=BOXES)
+METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+def thrown(body) -> np.ndarray:
+    """The bar's published start: -40 m/s along z, none on held nodes."""
+    return np.where(body.free_mask[:, None], [0.0, 0.0, -40.0], 0.0)
+
+
+def energy(body, state) -> float:
+    return 0.5 * (state.v * body.momentum(state.v)).sum() + body.energy(state.x)
+
+
+@pytest.mark.parametrize("dt", [1e-4, 0.01, 0.07])
+@METHOD
+@MESHES
+def test_free_fall_is_its_closed_form(mesh, method, dt):
+    d = mesh.dimension
+    g, v0 = GRAVITY[-d:], np.array([1.0, -2.0, 3.0])[:d]
+    body = solid(mesh, load=body_force(mesh, 1000.0 * g), **method)
+    last = motion(body, dt, 20, np.tile(v0, (len(mesh.points), 1)))[-1]
+    t = 20 * dt
+    wanted = v0 * t + g * t * (t + dt) / 2
+    # rounding of K times the distance is multiplied by (omega_max dt)^2: 1e-11 at the last dt, 1e-8 at 3 s
+    assert np.abs(last.x - mesh.points - wanted).max() < 1e-10 * np.abs(wanted).max()
+    assert np.abs(last.v - v0 - g * t).max() < 1e-10 * np.abs(v0 + g * t).max()
+
+
+@pytest.mark.parametrize("mode", [0, 3])
+@pytest.mark.parametrize("z", [0.02, 0.73, 5.0])
+def test_a_mode_decays_and_lags_as_backward_euler_says(mode, z):
+    """w = omega q + i q' is divided by 1 + i z in a step: amplitude 1/sqrt(1 + z^2), phase atan z."""
+    body = clamped_bar()
+    found, shapes = lowest_frequencies(body, mode + 1)
+    omega, shape = found[mode], shapes[mode]
+    X, dual = body.mesh.points, body.momentum(shape)
+    w = [
+        omega * ((s.x - X) * dual).sum() + 1j * (s.v * dual).sum()
+        for s in motion(body, z / omega, 5, 0.3 * shape, X + 0.1 * shape)
+    ]
+    for before, after in pairwise(w):
+        assert after * (1 + 1j * z) == pytest.approx(before, abs=1e-10 * abs(before))
+    assert abs(w[1] / w[0]) == pytest.approx(1 / np.hypot(1, z), rel=1e-10)
+    assert np.angle(w[0] / w[1]) == pytest.approx(np.arctan(z), rel=1e-10)
+
+
+def test_damping_of_the_thesis_bar_is_a_third_of_critical():
+    assert damping_ratio(10.42 * 0.07) == pytest.approx(0.32, abs=5e-3)  # T: "oscillates until it stops"
+    assert damping_ratio(10.42 * 1.9e-3) == pytest.approx(0.01, abs=1e-3)
+    assert damping_ratio(1e-4) == pytest.approx(5e-5, rel=1e-6)  # zeta -> z/2
+
+
+@pytest.mark.parametrize("mass", ["consistent", "lumped"])
+@MESHES
+def test_an_unforced_linear_step_loses_half_the_squares_of_its_changes(mesh, mass):
+    body = solid(mesh, held=[0, 1], mass=mass)
+    K = body.pattern.matrix(body.linearise(mesh.points)[1])
+    v = np.where(body.free_mask[:, None], RNG.standard_normal(mesh.points.shape), 0.0)
+    states = motion(body, 0.01, 20, v)
+    start = energy(body, states[0])
+    for a, b in pairwise(states):
+        dv, du = b.v - a.v, b.x - a.x
+        loss = ((dv * body.momentum(dv)).sum() + du.ravel() @ K @ du.ravel()) / 2
+        assert energy(body, a) - energy(body, b) == pytest.approx(loss, abs=1e-12 * start)
+    assert energy(body, states[-1]) < 0.9 * start
+
+
+@pytest.mark.parametrize("steps", [1, 7, 60])
+@pytest.mark.parametrize("axis", [(0, 0, 1.0), (1.0, 0, 0), (0, 1.0, 0), (1.0, -2.0, 0.5)])
+@pytest.mark.parametrize("mesh", [BOXES["triangles"], thesis_bar()], ids=["triangles", "bar"])
+def test_a_free_linear_body_in_spin_swells_to_37_volumes(mesh, axis, steps):
+    """J = 1 + (omega t)^2 at omega t = 6, for every axis, dt and cell: the law takes a turn for a stretch."""
+    body = solid(mesh)
+    omega = 10.0 * (np.array([0.0, 0.0, 1.0]) if mesh.dimension == 2 else np.array(axis))
+    t = 6.0 / np.linalg.norm(omega)
+    last = motion(body, t / steps, steps, spin(body, omega))[-1]
+    J = np.linalg.det(deformation_gradient(mesh, last.x))
+    assert pytest.approx(np.full(len(mesh.cells), 37.0), rel=1e-9) == J
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_first_step_of_a_corotational_spin_swells_by_the_angle_of_one_step(d):
+    """One solve uses the rotations it starts from: J = 1 + (omega dt)^2 after the first step."""
+    body = solid(BOXES["triangles"] if d == 2 else thesis_bar(), **METHODS["polar"])
+    last = motion(body, 0.07, 1, spin(body, np.array([0.0, 0.0, 10.0])))[-1]
+    J = np.linalg.det(deformation_gradient(body.mesh, last.x))
+    assert pytest.approx(np.full(len(J), 1 + 0.7**2), rel=1e-9) == J
+
+
+@METHOD
+@MESHES
+def test_a_free_body_keeps_its_linear_momentum(mesh, method):
+    body = solid(mesh, **method)
+    v = 20 * RNG.standard_normal(mesh.points.shape)
+    for iterations in (1, 3):
+        p = [body.momentum(s.v).sum(axis=0) for s in motion(body, 0.01, 20, v, iterations=iterations)]
+        # rounding of sums of elastic forces, which are far above the momentum's own
+        assert np.abs(np.array(p) - p[0]).max() < 1e-10 * np.abs(body.momentum(v)).sum()
+
+
+@METHOD
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_held_nodes_stay_to_the_bit(method, iterations):
+    body = clamped_bar(**method)
+    held = body.supports.nodes
+    for state in motion(body, 0.07, 5, thrown(body), iterations=iterations)[1:]:
+        assert np.array_equal(state.x[held], body.mesh.points[held]) and not state.v[held].any()
+
+
+@METHOD
+def test_both_linear_solvers_give_the_same_motion(method):
+    body = clamped_bar(**method)
+    ends = [
+        motion(body, 0.07, 10, thrown(body), linear_solver=name, linear_rtol=1e-12)[-1].x for name in ("superlu", "cg")
+    ]
+    # residuals of 1e-12, times a condition number of 1e3 at this step, over ten steps
+    assert np.abs(ends[0] - ends[1]).max() < 1e-8 * body.mesh.size
+
+
+@METHOD
+def test_numbering_the_nodes_otherwise_changes_nothing(method):
+    body = clamped_bar(**method)
+    mesh = body.mesh
+    order = RNG.permutation(len(mesh.points))
+    place = np.argsort(order)
+    other = solid(Mesh(mesh.points[order], place[mesh.cells]), held=place[body.supports.nodes], **method)
+    x = motion(body, 0.07, 20, thrown(body))[-1].x
+    y = motion(other, 0.07, 20, thrown(other))[-1].x
+    assert np.abs(y[place] - x).max() < 1e-10 * np.abs(x - mesh.points).max()
+
+
+@MESHES
+def test_many_frozen_passes_solve_the_implicit_equation(mesh):
+    body = solid(mesh, **METHODS["polar"])
+    v0 = RNG.standard_normal(mesh.points.shape)
+    dt = 0.01
+    residuals = []
+    for passes in (1, 3, 40):
+        one = motion(body, dt, 1, v0, iterations=passes)[-1]
+        r = body.momentum(one.v - v0) - dt * body.force(mesh.points + dt * one.v)
+        residuals.append(np.abs(r).max() / (dt * np.abs(body.force(mesh.points + dt * v0)).max()))
+    assert residuals[0] > residuals[1] > residuals[2] and residuals[2] < 1e-11  # converges linearly
+
+
+def test_one_solve_is_the_thesis_formula_with_its_signs_mended():
+    """(M + dt^2 K') v = M v_n + dt (f + f_el(x_n)), assembled densely."""
+    load = body_force(thesis_bar(), 1000.0 * GRAVITY)
+    body = clamped_bar(load=load, **METHODS["polar"])
+    state = motion(body, 0.07, 3, thrown(body))[-1]
+    f, K = body.linearise(state.x)
+    M, K = (body.pattern.matrix(A).toarray() for A in (body.mass, K))
+    free = (3 * body.free[:, None] + np.arange(3)).ravel()
+    b = (body.momentum(state.v) + 0.07 * (load + f)).ravel()[free]
+    v = np.linalg.solve((M + 0.07**2 * K)[np.ix_(free, free)], b).reshape(-1, 3)
+    after, _ = stepper(body, 0.07).step(state)
+    assert np.abs(after.v[body.free] - v).max() < 1e-11 * np.abs(v).max()
+    assert np.array_equal(after.x[body.free], state.x[body.free] + 0.07 * after.v[body.free])
+
+
+def test_backward_euler_is_of_order_one_where_steps_resolve_the_motion():
+    body = clamped_bar()
+    found, shapes = lowest_frequencies(body)
+    t = 0.4 / found[0]
+    ends = [motion(body, t / n, n, found[0] * shapes[0])[-1].x - body.mesh.points for n in (16, 32, 64)]
+    exact = np.sin(0.4) * shapes[0]
+    errors = [np.abs(end - exact).max() for end in ends]
+    assert np.all(np.log2(np.array(errors[:-1]) / errors[1:]) > 0.9)
+
+
+def test_a_linear_run_factors_once_and_extracts_no_rotation(monkeypatch):
+    def never(F):
+        raise AssertionError("a linear scene extracts no rotations")
+
+    monkeypatch.setitem(pipeline.problem.methods.ROTATIONS, "polar", never)
+    body = clamped_bar()
+    prepared, state, work = stepper(body, 0.07), State(0, body.mesh.points, thrown(body)), Work()
+    for _ in range(10):
+        state, done = prepared.step(state)
+        work += done
+    assert work == Work(steps=10, solves=10, iterations=10, factorisations=1)
+
+
+@pytest.mark.parametrize("passes", [1, 3])
+def test_every_pass_of_a_corotational_step_is_one_factor_one_solve_and_one_extraction(passes):
+    body = clamped_bar(**METHODS["polar"])
+    _, work = stepper(body, 0.07, iterations=passes).step(State(0, body.mesh.points, thrown(body)))
+    assert work == Work(steps=1, solves=passes, iterations=passes, factorisations=passes, rotations=passes)
+
+
+@METHOD
+def test_a_step_changes_nothing_that_it_was_given(method):
+    body = clamped_bar(**method)
+    state = State(0, body.mesh.points.copy(), thrown(body))
+    before = state.x.copy(), state.v.copy(), body.load.copy()
+    prepared = stepper(body, 0.07)
+    first, _ = prepared.step(state)
+    kept = first.x.copy(), first.v.copy()
+    prepared.step(first)
+    for got, wanted in zip((state.x, state.v, body.load, first.x, first.v), (*before, *kept), strict=True):
+        assert np.array_equal(got, wanted)
+
+
+@pytest.mark.parametrize("solver", [SuperLU, block_jacobi_cg])
+def test_a_singular_system_is_a_clear_error(solver):
+    pattern = BlockPattern(np.array([0, 1]), np.array([0]), 3, np.array([0]))
+    with pytest.raises(SolveError, match="singular"):
+        solver(pattern, 1e-8).update(np.zeros((1, 3, 3)), lambda Q: np.copyto(Q, np.eye(3)))

@@ -1,0 +1,254 @@
+"""The study of extremes: nodes are moved as it says, outcomes are told apart, nothing that is no number is written."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+
+from pipeline.case import load_case
+from pipeline.cli import main
+from pipeline.errors import CaseError, MeshError
+from pipeline.mesh.shapes import box, rectangle
+from pipeline.mesh.simplex import Mesh, signed_volumes
+from pipeline.studies.stability import study as stability
+from pipeline.studies.stability import trial
+from pipeline.studies.stability.perturb_mesh import apexes_moved, scrambled
+from pipeline.studies.stability.slices import METHODS, SLICES, Scene, trial_settings
+from tests.bodies import PLANAR, assert_conventional, write_case
+
+ROOT = Path(__file__).resolve().parents[2]
+BAR = box((4.0, 12.0, 4.0), (2, 8, 2))
+PLATE = rectangle((1.0, 3.0), (2, 6))
+
+
+# Nodes moved on purpose
+
+
+@pytest.mark.parametrize("mesh", [BAR, box((1.0, 1.0, 1.0), (1, 1, 1)), PLATE], ids=["bar", "cube", "plate"])
+@pytest.mark.parametrize("part", [0.5, 0.9, 0.999, 1.2, 3.0])
+def test_apexes_go_the_part_of_the_way_to_their_bases_that_is_asked_for(mesh, part):
+    X, free = mesh.points, np.arange(1, len(mesh.points))
+    x = apexes_moved(mesh, free, part, seed=0)
+    ratio = signed_volumes(x, mesh.cells) / mesh.rest_volumes
+    assert ratio.min() == pytest.approx(1 - part, rel=1e-9)
+    moved = np.flatnonzero((x != X).any(axis=1))
+    assert 1 <= len(moved) <= 8 and 0 not in moved
+    assert (np.isin(mesh.cells, moved).sum(axis=1) <= 1).all()  # no two of them in a cell
+    assert np.array_equal(x, apexes_moved(mesh, free, part, seed=0))
+
+
+def test_an_apex_that_cannot_be_moved_is_refused_and_one_cell_alone_is_not():
+    one = Mesh(np.concatenate([np.zeros((1, 3)), np.eye(3)]), np.arange(4)[None])
+    x = apexes_moved(one, np.array([3]), 1.2, seed=0)
+    assert x[3, 2] == pytest.approx(-0.2)
+    with pytest.raises(MeshError, match="no free node"):
+        apexes_moved(one, np.array([], dtype=np.int64), 0.5, seed=0)
+
+
+def test_a_scramble_moves_free_nodes_only_and_by_no_more_than_asked():
+    free = np.arange(9, 81)
+    away = scrambled(BAR, free, 3.0, seed=1) - BAR.points
+    assert not away[:9].any() and 2.9 < np.abs(away).max() <= 3.0
+    assert not np.array_equal(away, scrambled(BAR, free, 3.0, seed=2) - BAR.points)
+
+
+# One trial
+
+
+def settings(folder: Path, name: str, value: float, method: str, **sections: object) -> dict:
+    case = load_case(write_case(folder, **sections))
+    mesh = PLATE if "mesh" in sections else box((1.0, 3.0, 1.0), (1, 3, 1))
+    return trial_settings(Scene.of(case, mesh), name, value, method, steps=sections.pop("steps", 4), tolerance=0.05)
+
+
+def check(result: dict) -> None:
+    """Nothing is missing, and every number is one."""
+    assert set(result) == {*trial.NOTHING, "outcome"}
+    assert json.dumps(result, allow_nan=False)
+    assert all(np.isfinite(result[key]) for key in trial.NOTHING if key != "message")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "method", "wanted"),
+    [
+        ("dt", 1e-6, "polar bdf2", "survives"),
+        ("dt", 10.0, "polar symplectic_euler", "refused"),
+        ("poisson_ratio", 0.5, "linear bdf2", "refused"),
+        ("poisson_ratio", -0.99, "converged backward_euler", "survives"),
+        ("spin", 50.0, "linear backward_euler", "wrong_volume"),
+        ("spin", 50.0, "converged backward_euler", "survives"),
+        ("spin", 50.0, "gram_schmidt symplectic_euler", "refused"),
+        ("spin", 0.01, "polar symplectic_euler", "survives"),
+        ("youngs_modulus", 1e13, "auto backward_euler", "survives"),
+        ("density", 1e-3, "three_passes bdf2", "survives"),
+        ("sliver", 1e-3, "polar symplectic_euler", "survives"),
+        ("scramble", 1.0, "linear symplectic_euler", "wrong_volume"),
+        ("inversion", 0.5, "polar backward_euler", "survives"),
+        ("inversion", 0.8, "polar symplectic_euler", "wrong_volume"),  # it has no damping
+    ],
+)
+def test_a_trial_ends_as_its_method_does(tmp_path, name, value, method, wanted):
+    result = trial.trial(settings(tmp_path, name, value, method))
+    check(result)
+    assert result["outcome"] == wanted
+    assert bool(result["message"]) == (wanted == "refused")
+
+
+@pytest.mark.parametrize("name", SLICES)
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_at_the_extremes_of_every_slice_is_told_in_numbers_in_the_plane_too(tmp_path, name, method):
+    case = load_case(write_case(tmp_path, **PLANAR))
+    scene = Scene.of(case, PLATE)
+    values = SLICES[name].values(scene)
+    for value in (values[0], values[-1]):
+        result = trial.trial(trial_settings(scene, name, value, method, steps=2, tolerance=0.05))
+        check(result)
+        assert result["outcome"] in trial.OUTCOMES
+
+
+def test_spin_of_a_linear_body_swells_as_the_law_says(tmp_path):
+    """J = 1 + (omega t)^2, with omega t = 4 steps of 2 rad."""
+    result = trial.trial(settings(tmp_path, "spin", 2.0, "linear backward_euler"))
+    assert result["worst_volume_ratio"] == pytest.approx(1 + 8.0**2, rel=1e-6)
+
+
+def test_a_run_that_blows_up_is_a_solve_error_with_its_message_and_what_stood_before_it(tmp_path):
+    asked = settings(tmp_path, "spin", 20.0, "gram_schmidt backward_euler")
+    asked["changes"]["schedule"]["frames"] = 60
+    result = trial.trial(asked)
+    check(result)
+    assert result["outcome"] == "solve_error" and "energy has no source" in result["message"]
+    assert 3 <= result["steps"] < 60 and result["energy_growth"] > 10
+
+
+def test_where_the_reference_fails_a_run_is_not_judged(tmp_path):
+    asked = settings(tmp_path, "dt", 0.1, "polar backward_euler")
+    asked["changes"]["method"] |= {"max_iterations": 1}
+    result = trial.trial(asked)
+    check(result)
+    assert result["outcome"] == "not_judged" and result["volume_error"] == 0.0
+
+
+def test_right_volumes_in_wrong_places_are_a_wrong_motion():
+    course = trial.Course(BAR, held=True, x=[BAR.points], energy_growth=1.0)
+    for errors, growth, wanted in [
+        ({"volume_error": 0.04, "node_distance": 0.04}, 1.0, "survives"),
+        ({"volume_error": 0.04, "node_distance": 0.06}, 1.0, "wrong_motion"),
+        ({"volume_error": 0.06, "node_distance": 0.06}, 1.0, "wrong_volume"),
+        ({"volume_error": 0.04, "node_distance": 0.04}, 11.0, "wrong_motion"),
+        ({}, 1.0, "not_judged"),
+    ]:
+        course.energy_growth = growth
+        assert trial._outcome(course, errors, 0.05) == wanted
+    course.message = "no"
+    assert trial._outcome(course, {}, 0.05) == "solve_error"
+
+
+def test_settings_are_plain_and_a_change_of_the_file_is_another_trial(tmp_path):
+    one = settings(tmp_path, "dt", 0.1, "auto bdf2")
+    assert json.loads(json.dumps(one)) == one
+    other = settings(tmp_path, "dt", 0.1, "auto bdf2", loads={"gravity": [0.0, 0.0, -1.0]})
+    assert one != other
+
+
+# The whole study
+
+
+@pytest.fixture
+def serial(monkeypatch) -> None:
+    """Points one after the other in this process: a cluster takes seconds to start, and has tests of its own."""
+    monkeypatch.setattr("pipeline.studies.sweep.find_spec", lambda name: None)
+
+
+@pytest.fixture
+def small(monkeypatch) -> None:
+    methods = {m: METHODS[m] for m in ("linear backward_euler", "auto bdf2", "polar symplectic_euler")}
+    for module in ("stability", "stability_figure"):
+        monkeypatch.setattr(f"pipeline.studies.{module}.METHODS", methods)
+
+
+def test_a_study_is_a_conventional_dataset_a_picture_and_lines(tmp_path, serial, small):
+    case = load_case(write_case(tmp_path))
+    told = []
+    study = stability.study_stability(
+        case, tmp_path / "out", slices=("poisson_ratio", "dt"), steps=3, on_point=lambda *seen: told.append(seen[1:])
+    )
+    assert told[-1] == (57, 57)
+    folder = tmp_path / "out" / "beam"
+    assert sorted(p.name for p in folder.iterdir()) == ["points", "stability.nc", "stability.png", "summary.json"]
+    with xarray.open_dataset(folder / "stability.nc") as dataset:
+        assert_conventional(dataset)
+        assert dataset.outcome_dt.dims == ("method", "dt") and dataset.outcome_dt.dtype == np.int8
+        meanings = dataset.outcome_dt.attrs["flag_meanings"].split()
+        assert meanings == list(trial.OUTCOMES) and list(dataset.outcome_dt.attrs["flag_values"]) == list(range(7))
+        for name in dataset.data_vars:
+            if dataset[name].dtype.kind == "f":
+                assert np.isfinite(dataset[name]).all(), name
+        refused = dataset.outcome_poisson_ratio.sel(poisson_ratio=[-1.0, 0.5]).values
+        assert (refused == meanings.index("refused")).all()
+        assert "not below 0.5" in str(dataset.message_poisson_ratio.values[0, -1])
+        assert dataset.outcome_dt.sel(dt=1e-6).values.tolist() == [0, 0, 0]
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["trials"] == 57 == sum(summary["outcomes"].values())
+    assert summary["sentences"] == study.sentences()
+    assert study.sentences()[0] == "refused by every method: poisson_ratio -1, poisson_ratio 0.5"
+    assert study.sentences()[3].endswith("refused at dt 0.01 0.1 1 10")
+    assert any("is above the limit of symplectic_euler" in message for message in summary["messages"])
+
+
+def test_the_picture_has_a_field_of_its_colour_for_every_trial(tmp_path, serial, small):
+    from PIL import Image
+
+    study = stability.study_stability(load_case(write_case(tmp_path)), tmp_path, slices=("dt",), steps=2)
+    pixels = np.asarray(Image.open(study.made[1]).convert("RGB")).reshape(-1, 3)
+    for outcome, colour in (("survives", (0xB7, 0xE3, 0xD0)), ("refused", (0xF4, 0xF5, 0xF7))):
+        fields = sum(row.count(outcome) for row in study.outcomes("dt"))
+        assert fields > 0 and (pixels == colour).all(axis=1).sum() > 300 * fields
+
+
+def test_a_fault_of_the_program_is_an_outcome_and_not_the_end(tmp_path, serial, small, monkeypatch):
+    def broken(asked):
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr("pipeline.studies.stability.study.trial", broken)
+    study = stability.study_stability(load_case(write_case(tmp_path)), tmp_path, slices=("sliver",), steps=2)
+    assert {r["outcome"] for r in study.results.values()} == {"unexpected_error"}
+    assert all(r["message"] == "ZeroDivisionError: by zero" for r in study.results.values())
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [
+        ({"slices": ("speed",)}, "slice 'speed' is not one of dt, spin, poisson_ratio"),
+        ({"steps": 0}, "steps: 0 is not 1 or more"),
+        ({"tolerance": 1.0}, "tolerance: 1 is not between 0 and 1"),
+    ],
+)
+def test_what_cannot_be_studied_is_refused_before_anything_is_written(tmp_path, keywords, words):
+    with pytest.raises(CaseError, match=words):
+        stability.study_stability(load_case(write_case(tmp_path)), tmp_path / "out", **keywords)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_prints_its_lines_and_goes_on_where_it_was(tmp_path, capsys, serial, small, monkeypatch):
+    path = write_case(tmp_path)
+    command = ["study", "stability", str(path), "--out", str(tmp_path / "o"), "--slice", "sliver", "--steps", "2"]
+    assert main([*command, "--quiet"]) == 0
+    first = capsys.readouterr()
+    assert first.out.count(" survives everything") == 3 and first.err.count("\n") <= 1
+    monkeypatch.setattr("pipeline.studies.stability.study.trial", None)  # nothing is left to be computed
+    assert main(command) == 0
+    again = capsys.readouterr().out
+    assert again.startswith(first.out) and "stability.nc" in again
+
+
+def test_the_command_names_a_wrong_slice_in_one_line_and_its_help_has_all(tmp_path, capsys):
+    assert main(["study", "stability", str(write_case(tmp_path)), "--slice", "speed"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("CaseError: slice 'speed'") and said.count("\n") == 1
+    with pytest.raises(SystemExit):
+        main(["study", "stability", "--help"])
+    words = capsys.readouterr().out.replace(",", " ").split()
+    assert set(SLICES) <= set(words)

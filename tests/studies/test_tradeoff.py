@@ -1,0 +1,477 @@
+"""The trade-off study: settings, deviations from known motions, fronts, the choice, and all of it on a small beam."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import tomli_w
+import xarray
+
+from pipeline.case import load_case
+from pipeline.cli import main
+from pipeline.errors import CaseError, SolveError
+from pipeline.mesh.shapes import box, rectangle
+from pipeline.problem.build import build, build_mesh
+from pipeline.studies import sweep as sweep_module
+from pipeline.studies.tradeoff.apply_choice import apply
+from pipeline.studies.tradeoff.deviation import FirstMode, deviation, distances, error, first_mode
+from pipeline.studies.tradeoff.mode_steps import steps_a_period
+from pipeline.studies.tradeoff.motion import Motion, packed, race, read_motion, run_motion, task_settings, unpacked
+from pipeline.studies.tradeoff.settings import AUTO, CONVERGED, LINEAR, Setting, nested, planned, point_case
+from pipeline.studies.tradeoff.study import tradeoff
+from pipeline.studies.tradeoff.table import Row, Table
+from pipeline.studies.tradeoff.verdict import auto_verdicts, cheapest, front, sentence, shares
+from tests.bodies import PLANAR, assert_conventional, case_document, clamped_bar, write_case
+
+
+@pytest.fixture(scope="module", autouse=True)
+def here():
+    """No dask.distributed: every point runs in this process; tests/studies/test_sweep.py has the cluster."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweep_module, "find_spec", lambda name: None)
+        patch.setattr("pipeline.studies.tradeoff.motion._MEASURED", 0.0)  # nothing here is told by its seconds
+        patch.setattr("pipeline.studies.tradeoff.motion._PAIRS", 1)
+        yield
+
+
+def plan_of(folder, *, sections=None, **keywords):
+    case = load_case(write_case(folder, **(sections or {})))
+    return planned(case, **{"tolerance": 0.01, "quick": True, **keywords})
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """The quick study of a soft beam of 18 tetrahedra, with one finer mesh."""
+    folder = tmp_path_factory.mktemp("study")
+    plan = plan_of(folder, refinements=[1, 2], tolerance=0.02)
+    return plan, tradeoff(plan, folder / "out", repeats=1)
+
+
+# settings
+
+
+def test_settings_are_slices_that_allow_auto_beside_every_fixed_one(tmp_path):
+    plan = plan_of(tmp_path, quick=False)
+    assert plan.dts == (0.04, 0.02, 0.01, 0.005, 0.0025) and plan.dt == 0.02 and plan.refinements == (1, 2)
+    assert plan.interval == 0.04 and plan.frames == 2
+    assert len({setting.key for setting in plan.settings}) == len(plan.settings)
+    for stepper in ("backward_euler", "bdf2"):
+        for dt in plan.dts:
+            alike = [
+                s for s in plan.settings if (s.refinement, s.stepper, s.dt, s.mass) == (1, stepper, dt, "consistent")
+            ]
+            assert {s.model for s in alike} == {
+                "linear", "auto", "polar-1", "polar-2", "polar-3", "polar-converged", "gram_schmidt-1",
+            }  # fmt: skip
+    assert plan.reference(1).dt == 0.0025 / 8 and plan.reference_before(1) in plan.settings
+    assert {s.mass for s in plan.settings if s.stepper == "bdf2"} == {"consistent", "lumped"}
+    assert plan.own == Setting(1, "consistent", "backward_euler", 0.02, "corotational", "polar", "1")
+
+
+def test_every_setting_is_a_case_seen_at_the_same_instants(tmp_path):
+    plan = plan_of(tmp_path, refinements=[1, 2])
+    for setting in plan.settings:
+        case = point_case(plan, setting)
+        schedule = case.schedule
+        assert schedule.dt * schedule.steps_per_frame == pytest.approx(plan.interval, rel=1e-12)
+        assert schedule.frames == plan.frames and case.method.mass == setting.mass
+        assert case.mesh.cells == tuple(setting.refinement * c for c in (1, 3, 1))
+        build(case)  # explicit steps below their limit, names that go together
+
+
+def test_an_explicit_case_gives_implicit_steps_its_frames(tmp_path):
+    schedule = {"dt": 1e-4, "steps_per_frame": 100, "frames": 8}
+    method = {"stepper": "symplectic_euler", "mass": "lumped"}
+    plan = plan_of(tmp_path, sections={"schedule": schedule, "method": method, **PLANAR})
+    assert plan.dt == 0.01 and plan.own.stepper == "bdf2" and plan.own.mass == "lumped"
+
+
+def test_a_long_run_is_seen_at_fifty_instants_at_most(tmp_path):
+    plan = plan_of(tmp_path, sections={"schedule": {"dt": 0.02, "frames": 1001}})
+    assert plan.frames <= 50 and plan.interval == pytest.approx(0.02 * 21)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"dts": [0.02, 0.015]}, "does not divide"),
+        ({"dts": [-0.02]}, "not a positive"),
+        ({"dts": [float("nan")]}, "not a positive"),
+        ({"dts": [1.0]}, "shorter than"),
+        ({"refinements": [0]}, "whole numbers"),
+        ({"steps": 0}, "shorter than"),
+    ],
+)
+def test_steps_and_refinements_that_do_not_fit_are_refused(tmp_path, keywords, message):
+    with pytest.raises(CaseError, match=message):
+        plan_of(tmp_path, **keywords)
+
+
+def test_meshes_that_cannot_be_refined_say_so(tmp_path, cases_folder):
+    by_node = plan_of(tmp_path, sections={"supports": [{"nodes": [0, 1, 2, 3]}]}, refinements=[1, 2])
+    organic = planned(load_case(cases_folder / "mushroom.toml"), tolerance=0.01, refinements=[2])
+    for plan, reason in ((by_node, "names nodes"), (organic, "mesh is a file")):
+        assert plan.refinements == (1,) and reason in plan.notes[0] and "mesh error not available" in plan.notes[0]
+
+
+@pytest.mark.parametrize(("shape", "size", "cells"), [(box, (1, 3, 2), (1, 3, 2)), (rectangle, (2, 1), (3, 2))])
+def test_nested_nodes_lie_where_the_coarse_ones_do(shape, size, cells):
+    coarse, fine = shape(size, cells), shape(size, [3 * c for c in cells])
+    np.testing.assert_allclose(fine.points[nested(cells, 3)], coarse.points, atol=1e-14)
+
+
+# deviations
+
+
+def motion_of(mesh, u, v=None, energy=1.0):
+    level = np.full(len(u), energy)
+    return Motion(mesh, u, np.zeros_like(u) if v is None else v, level, level)
+
+
+def test_deviations_of_known_motions():
+    mesh = box((1.0, 2.0, 2.0), (1, 2, 2))  # its size is 3
+    still = motion_of(mesh, np.zeros((2, *mesh.points.shape)))
+    moved = still.u.copy()
+    moved[1] += [0.0, 0.3, 0.0]
+    found = deviation(motion_of(mesh, moved, energy=1.5), still, None)
+    assert found["worst_distance"] == pytest.approx(0.1) and found["rms_distance"] == pytest.approx(0.1 / 2**0.5)
+    assert found["volume"] < 1e-12 and found["drift"] < 1e-12 and found["energy"] == pytest.approx(0.5)
+    grown = motion_of(mesh, np.stack([0 * mesh.points, 0.1 * mesh.points]))
+    found = deviation(grown, still, None)
+    assert found["volume"] == pytest.approx(1.1**3 - 1) and found["drift"] == pytest.approx(1.1**3 - 1)
+    assert error(found) == pytest.approx(0.5 * (1.1**3 - 1)) and np.isnan(found["mode_phase"])
+    some = np.array([0, 5])
+    assert distances(motion_of(mesh, moved), still, np.arange(len(mesh.points)))["worst_distance"] == pytest.approx(0.1)
+    with pytest.raises(ValueError):
+        distances(motion_of(mesh, moved), still, some)
+
+
+def test_amplitude_and_phase_of_the_first_mode():
+    body = clamped_bar()
+    mode = first_mode(body)
+    assert isinstance(mode, FirstMode) and mode.omega == pytest.approx(10.424, rel=1e-3)
+    shape = np.zeros_like(body.mesh.points)
+    t = np.linspace(0, 2, 40)
+    from pipeline.fem.modes import lowest_frequencies
+
+    shape = lowest_frequencies(body)[1][0]
+
+    def swinging(size, late):
+        angle = mode.omega * t - late
+        u, v = size * np.cos(angle), -size * mode.omega * np.sin(angle)
+        return motion_of(body.mesh, u[:, None, None] * shape, v[:, None, None] * shape)
+
+    found = deviation(swinging(0.9, np.radians(5)), swinging(1.0, 0.0), mode)
+    assert found["mode_amplitude"] == pytest.approx(0.1) and found["mode_phase"] == pytest.approx(5.0)
+
+
+def test_motions_survive_their_text():
+    values = np.random.default_rng(0).standard_normal((3, 4, 2)) * 1e-3
+    np.testing.assert_allclose(unpacked(packed(values), (3, 4, 2)), values, rtol=1e-7)
+
+
+def test_a_run_in_memory_is_the_run(tmp_path):
+    from pipeline.run.frames import frames
+
+    plan = plan_of(tmp_path)
+    case = point_case(plan, plan.own)
+    result = run_motion(json.loads(json.dumps(task_settings(case, 2))))
+    problem = build(case)
+    seen = list(frames(problem))
+    motion = read_motion(result, problem.body.mesh)
+    np.testing.assert_allclose(motion.u[-1], seen[-1].x - problem.body.mesh.points, rtol=1e-6, atol=1e-9)
+    assert result["work"]["steps"] == plan.frames == 4 and result["repeats"] >= 2
+    assert motion.drift[-1] == pytest.approx(
+        motion.ratios[-1] @ motion.mesh.rest_volumes / motion.mesh.rest_volumes.sum() - 1
+    )
+
+
+def test_what_leaves_the_scene_is_an_error(tmp_path):
+    plan = plan_of(tmp_path, sections={"supports": None, "initial": {"velocity": [0.0, 0.0, 1e6]}})
+    with pytest.raises(SolveError, match="times its size"):
+        run_motion(task_settings(point_case(plan, plan.own), 1))
+
+
+def test_a_race_of_a_case_with_itself(tmp_path):
+    plan = plan_of(tmp_path)
+    settings = task_settings(point_case(plan, plan.own), 1)
+    found = race(settings | {"rival": settings["case"]})
+    assert found["ratio"] > 0 and found["pairs"] == 1
+
+
+# verdicts
+
+
+def row(seconds, worst, volume=0.0, *, model=LINEAR, dt=0.1, model_volume=0.0):
+    costs = {
+        "seconds": seconds,
+        "newton_iterations": 1.0,
+        "seconds_per_step": seconds / 10,
+        "real_time_factor": 1 / seconds,
+    }
+    found = {"motion_worst_distance": worst, "motion_volume": volume, "model_worst_distance": 0.0}
+    setting = Setting(1, "consistent", "bdf2", dt, *model)
+    return Row(setting, costs, found | {"model_volume": model_volume})
+
+
+def test_the_front_is_what_no_other_beats():
+    rows = [row(1, 0.5), row(2, 0.1), row(2.5, 0.2), row(3, 0.1), row(4, 0.0, volume=0.04)]
+    assert front([*rows, Row(rows[0].setting, failure="SolveError")]) == [rows[0], rows[1], rows[4]]
+    assert cheapest(rows, 0.1) is rows[1] and cheapest(rows, 0.02) is rows[4] and cheapest(rows, 0.01) is None
+
+
+def test_of_what_costs_the_same_but_for_the_clock_the_most_accurate_is_named():
+    rows = [row(1.0, 0.5), row(1.05, 0.1), row(1.08, 0.3), row(1.2, 0.0)]
+    assert cheapest(rows, 0.5) is rows[1] and cheapest(rows[2:], 0.5) is rows[2]
+    by_axes = row(1.0, 0.05, model=("corotational", "gram_schmidt", "1"))
+    assert cheapest([by_axes, *rows], 0.5) is rows[1] and cheapest([by_axes], 0.5) is by_axes
+
+
+def test_auto_is_set_against_the_cheapest_that_meets_its_tolerance():
+    rows = [
+        row(1, 0.0, model_volume=0.05),
+        row(2, 0.0, model=("corotational", "polar", "1"), model_volume=0.01),
+        row(3, 0.0, model=CONVERGED),
+        row(2.2, 0.0, model=AUTO, model_volume=0.015),
+        row(1.5, 0.0, model=CONVERGED, dt=0.2),
+    ]
+    (found,) = auto_verdicts(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
+    assert found.rival == rows[1].setting and found.ratio == pytest.approx(1.1) and found.kept
+    rows[1] = row(2, 0.0, model=("corotational", "polar", "1"), model_volume=0.012)  # twice the tolerance is not it
+    rows[3] = row(2.2, 0.0, model=AUTO, model_volume=0.009)
+    (found,) = auto_verdicts(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
+    assert found.rival == rows[2].setting
+    rows[3] = row(2.2, 0.0, model=AUTO, model_volume=0.021)
+    assert not auto_verdicts(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))[0].kept
+
+
+def test_the_sentence_tells_no_more_than_the_reference_is_good_for():
+    rows = [row(1, 0.005), row(3, 0.0005, dt=0.05)]
+    plan = SimpleNamespace(
+        tolerance=0.01, refinements=(1,), case=SimpleNamespace(name="scene"), reference=lambda r: None
+    )
+
+    def said(sure, rows=rows, mesh=float("nan")):
+        reference = SimpleNamespace(time=sure)
+        table = SimpleNamespace(plan=plan, rows=rows, mesh_error=lambda r: mesh, reference_error=lambda: reference)
+        return sentence(table)
+
+    assert said(1e-4).startswith("scene: for 1 % use bdf2, the linear law, consistent mass, dt = 0.1 s: 100 ms a step")
+    assert "0.1 % costs 3 times as much" in said(1e-4) and "reference" not in said(1e-4)
+    assert "0.1 % was not reached (0.5 % by" in said(1e-4, rows[:1])
+    assert "0.1 % cannot be told; the reference itself is good to 2 %" in said(0.02)
+    assert said(1e-4, [row(1, 0.05)]).startswith("scene: no setting that was run reaches 1 % (5 % by bdf2")
+    assert said(1e-4, mesh=0.3).endswith("the mesh itself is 30 % from cells x 1")
+
+
+@pytest.mark.parametrize("stepper", ["backward_euler", "bdf2"])
+def test_steps_a_period_are_those_of_the_formula(tmp_path, stepper):
+    plan = plan_of(tmp_path)
+    case = point_case(plan, Setting(1, "consistent", stepper, 0.02, *LINEAR))
+    found = steps_a_period(task_settings(case, 1) | {"tolerance": 0.02})
+    n = np.arange(1, 3000)
+    z = 2 * np.pi / n
+    # for bdf2 the larger root of 3/2 - 2/G + 1/(2 G^2) = i z
+    one = 1 / (1 - 1j * z) if stepper == "backward_euler" else 1 / (2 - np.sqrt(1 + 2j * z))
+    # z + i dq/dt / omega turns clockwise: its factor a step is the conjugate
+    exact = np.flatnonzero(np.abs(one**n - 1) <= 0.02)
+    first = int(n[exact[exact > 3][0]])
+    assert found["steps"] == pytest.approx(first, rel=0.02, abs=2) and found["error"] <= 0.02
+
+
+# the whole
+
+
+@pytest.mark.slow
+def test_the_study_stands_as_files(study):
+    plan, found = study
+    with xarray.open_dataset(found.folder / "tradeoff.nc") as dataset:
+        assert_conventional(dataset)
+        assert set(dataset.seconds.dims) == {"refinement", "mass", "stepper", "dt", "law", "rotation", "iterations"}
+        assert int(dataset.seconds.notnull().sum()) == len(plan.settings) and float(dataset.failed.max()) == 0
+        case = {"refinement": 1, "mass": "consistent", "stepper": "bdf2", "dt": 0.01}
+        auto = dataset.sel(**case, law="auto", rotation="none", iterations="none")
+        assert float(auto.model_volume) <= 0.04 and float(auto.steps) == 8
+        converged = dataset.sel(**case, law="corotational", rotation="polar", iterations="converged")
+        assert float(converged.model_worst_distance) == 0.0 < float(converged.motion_worst_distance)
+        assert np.isnan(dataset.seconds.sel(**case, law="linear", rotation="polar", iterations="1"))
+        assert float(dataset.total_worst_distance.sel(refinement=2).min()) == 0.0
+    summary = json.loads((found.folder / "summary.json").read_text())
+    assert summary["sentence"] == found.sentence and summary["failed"] == {}
+    assert summary["first_mode"]["fewer"] > 10
+    assert all(verdict["kept"] and verdict["ratio"] > 0 for verdict in summary["auto"])
+    assert (found.folder / "tradeoff.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_the_reference_is_better_than_what_it_judges(study):
+    _, found = study
+    own = found.summary["reference"]
+    assert 0 < own["time"] < 5e-3 and 0.5 < own["order"] < 2.5
+    parts = found.summary["own_error_parts"]
+    assert parts["dominant"] == max(("model", "dt", "mesh"), key=lambda name: parts[name])
+    assert parts["mesh"] > 0.01  # 18 tetrahedra are stiff in bending
+    assert 0 < own["mesh"] == pytest.approx(parts["mesh"] / 3)
+
+
+def seconds_of(row) -> float:
+    return row["costs"]["seconds"]
+
+
+@pytest.mark.slow
+def test_the_sentence_names_a_setting_that_is_enough(study):
+    plan, found = study
+    choice = found.summary["choice"]
+    assert choice["error"] <= plan.tolerance and choice["text"] in found.sentence
+    assert found.sentence.startswith("beam: for 2 % use ") and "0.2 %" in found.sentence
+    # the front holds the cheapest that is enough; the choice may cost a tenth more where it is more accurate
+    least = min((one for one in found.summary["front"] if one["error"] <= plan.tolerance), key=seconds_of)
+    assert seconds_of(least) <= seconds_of(choice) <= 1.1 * seconds_of(least)
+    assert choice["error"] <= least["error"] or least["setting"]["rotation"] == "gram_schmidt"
+
+
+@pytest.mark.slow
+def test_a_study_that_stands_is_not_run_again(study, monkeypatch):
+    plan, found = study
+    monkeypatch.setattr("pipeline.studies.tradeoff.study.run_motion", lambda settings: pytest.fail("run again"))
+    again = tradeoff(plan, found.folder, repeats=1)
+    assert again.summary == found.summary
+
+
+@pytest.mark.slow
+def test_a_reference_that_fails_is_an_error_and_other_failures_are_told(study):
+    plan, found = study
+    results = {s.key: json.loads((found.folder / f"points/{s.key}.json").read_text())["result"] for s in plan.settings}
+    broken = plan.settings[7].key
+    table = Table(plan, results | {broken: {"error": "SolveError: blew up"}})
+    assert [one.failure for one in table.rows if one.setting.key == broken] == ["SolveError: blew up"]
+    assert "use" in sentence(table) or "no setting" in sentence(table)
+    assert shares(table, table.row(plan.own)).dominant in ("model", "dt", "mesh")
+    with pytest.raises(SolveError, match="no reference on mesh x2: SolveError: blew up"):
+        Table(plan, results | {plan.reference(2).key: {"error": "SolveError: blew up"}})
+
+
+# the choice as a variant
+
+CHOSEN = Setting(1, "lumped", "bdf2", 0.01, *AUTO)
+
+
+def test_the_choice_becomes_a_variant_and_the_rest_of_the_file_stays(tmp_path):
+    path = write_case(tmp_path)
+    plan = planned(load_case(path), tolerance=0.01, quick=True, steps=2)
+    assert plan.frames == 2
+    path.write_text(path.read_text() + "\n# a last remark\n")
+    before = path.read_text()
+    apply(plan, CHOSEN, "for 1 % it is enough")
+    text = path.read_text()
+    assert text.startswith(before) and "# for 1 % it is enough" in text
+    case = load_case(path)
+    assert case.variant_names == ("linear", "gram_schmidt", "polar", "adequate")
+    chosen = case.variant("adequate")
+    assert (chosen.method.model, chosen.method.stepper, chosen.method.mass) == ("auto", "bdf2", "lumped")
+    assert (chosen.schedule.dt, chosen.schedule.steps_per_frame, chosen.schedule.frames) == (0.01, 2, 4)
+    apply(plan, replace(CHOSEN, dt=0.04, refinement=2), "another reason")
+    text = path.read_text()
+    assert text.startswith(before) and text.count("adequate]") == 1 and "another reason" in text
+    chosen = load_case(path).variant("adequate")
+    assert (chosen.schedule.dt, chosen.schedule.steps_per_frame, chosen.schedule.frames) == (0.04, 1, 2)
+    assert build_mesh(chosen).cells.shape[0] == 8 * 18
+
+
+def test_a_case_without_variants_keeps_its_default(tmp_path):
+    plan = plan_of(tmp_path, sections={"variants": None})
+    apply(plan, CHOSEN, "why")
+    assert load_case(plan.case.path).variant_names == ("default", "adequate")
+    apply(plan, CHOSEN, "why not")
+    assert load_case(plan.case.path).variant_names == ("default", "adequate")
+
+
+def test_a_file_that_cannot_take_the_variant_is_left_alone(tmp_path):
+    own = plan_of(tmp_path, sections={"variants": {"adequate": {}}})
+    inline = load_case(write_case(tmp_path, "inline.toml", variants=None))
+    inline.path.write_text(f"variants = {{polar = {{}}}}\n{inline.path.read_text()}")
+    for plan, message in ((own, "there already"), (planned(inline, tolerance=0.1), "cannot be appended")):
+        before = plan.case.path.read_text()
+        with pytest.raises(CaseError, match=message) as raised:
+            apply(plan, CHOSEN, "why")
+        assert plan.case.path.read_text() == before and "\n" not in str(raised.value)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["beam.toml", "inline.toml"]
+
+
+# the command line
+
+
+@pytest.mark.slow
+def test_the_command_prints_the_sentence_and_writes_the_variant(tmp_path, capsys):
+    path = write_case(tmp_path, **PLANAR, schedule={"dt": 0.02, "frames": 2})
+    arguments = ["study", "tradeoff", str(path), "--quick", "--repeats", "1", "--tolerance", "0.3"]
+    assert main([*arguments, "--apply", "--out", str(tmp_path / "out")]) == 0
+    out, _ = capsys.readouterr()
+    assert out.startswith("beam: for 30 % use ") and "its own error is about" in out and "tradeoff.nc" in out
+    assert 'variant "adequate" written' in out and "adequate" in load_case(path).variant_names
+    assert main([*arguments, "--quiet", "--out", str(tmp_path / "out")]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--tolerance", "0"], "--tolerance"),
+        (["--tolerance", "nan"], "--tolerance"),
+        (["--repeats", "0"], "--repeats"),
+        (["--dt", "0.02", "0.013"], "--dt"),
+        (["--refine", "0"], "--refine"),
+        (["--refine", "2", "3"], "--refine 2 does not divide the largest, 3"),
+        (["--set", "method.stepper=rk4"], "rk4"),
+        (["--scheduler", "tcp://127.0.0.1:1"], "scheduler"),
+        (["--apply", "--set", "schedule.dt=0.01"], "that of another case"),
+        (["--apply", "--steps", "2"], "that of the beginning"),
+    ],
+)
+def test_wrong_input_is_one_line_and_exit_code_2(tmp_path, capsys, arguments, message):
+    path = write_case(tmp_path)
+    assert main(["study", "tradeoff", str(path), "--quiet", "--out", str(tmp_path / "o"), *arguments]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1 and message in said[0]
+
+
+def test_two_cases_of_one_name_are_refused(tmp_path, capsys):
+    paths = [str(write_case(tmp_path, name)) for name in ("one.toml", "two.toml")]
+    assert main(["study", "tradeoff", *paths, "--out", str(tmp_path / "o")]) == 2
+    assert "name of another case" in capsys.readouterr().err
+
+
+def test_a_case_without_a_reference_does_not_stop_the_others(tmp_path, capsys, monkeypatch):
+    from pipeline.studies.tradeoff import study as module
+
+    def one(plan, folder, **keywords):
+        if plan.case.name == "bad":
+            raise SolveError("no reference")
+        return module.Tradeoff(folder, {}, "good: use this", (), ())
+
+    monkeypatch.setattr(module, "tradeoff", one)
+    paths = [tmp_path / "bad.toml", tmp_path / "good.toml"]
+    for path in paths:
+        path.write_text(tomli_w.dumps(case_document(name=path.stem)))
+    assert main(["study", "tradeoff", *map(str, paths), "--out", str(tmp_path / "o")]) == 3
+    said = capsys.readouterr()
+    assert said.out.startswith("good: use this") and said.err == "SolveError: no reference\n"
+
+
+def test_an_interrupted_study_says_what_stands(tmp_path, capsys, monkeypatch):
+    def interrupted(*given, **keywords):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pipeline.studies.tradeoff.study.tradeoff", interrupted)
+    assert main(["study", "tradeoff", str(write_case(tmp_path)), "--quiet", "--out", str(tmp_path / "o")]) == 130
+    assert capsys.readouterr().err == "interrupted; the points done so far stand, the same command goes on\n"
+
+
+def test_a_missing_case_and_an_unknown_study_are_told(tmp_path, capsys):
+    assert main(["study", "tradeoff", str(tmp_path / "none.toml")]) == 2
+    assert "no such file" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as raised:
+        main(["study", "nonsense"])
+    assert raised.value.code == 2 and "tradeoff" in capsys.readouterr().err
