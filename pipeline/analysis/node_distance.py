@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.mesh.simplex import Floats
+from pipeline.arrays import Floats
 from pipeline.run.measures import spatial
 from pipeline.series.series import Series
 

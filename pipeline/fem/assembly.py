@@ -6,7 +6,8 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import bsr_array
 
-from pipeline.mesh.simplex import Floats, Ints, Mesh
+from pipeline.arrays import Floats, Ints
+from pipeline.mesh.simplex import Mesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
 from pipeline.fem.element import deformation_gradient, nodal_forces, nodal_sums, stiffness_blocks
 from pipeline.fem.frame_error import Turning, spurious_volume, turning
@@ -14,7 +15,7 @@ from pipeline.fem.loads import lumped_mass_pairs
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
-from pipeline.mesh.simplex import Floats, Ints, Mesh
+from pipeline.mesh.simplex import Mesh
 
 
 @dataclass(frozen=True, eq=False)

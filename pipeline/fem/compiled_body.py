@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.fem.assembly import corners_by_row
 from pipeline.fem.body import Body
 from pipeline.fem.frame_error import Turning, indicator, spurious_volume
 from pipeline.fem.laws import CREASE, Corotational, Law, Linear, Tangent
 from pipeline.fem.rotation import gram_schmidt, polar
 from pipeline.fem.supports import Supports
-from pipeline.mesh.simplex import Floats, Mesh
+from pipeline.mesh.simplex import Mesh
 
 # of the corotational law, by the numbers that rotation_kernels.py has for them, and what the linear law has instead
 _ROTATIONS = (polar, gram_schmidt)

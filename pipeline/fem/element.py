@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from pipeline.mesh.simplex import Floats, Mesh
+from pipeline.arrays import Floats
+from pipeline.mesh.simplex import Mesh
 
 
 def deformation_gradient(mesh: Mesh, x: Floats) -> Floats:

@@ -21,9 +21,9 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import polar
-from pipeline.mesh.simplex import Floats
 
 Tangent = Literal["frozen", "projected", "exact"]
 # A_i -> 0 with c > 0 is a convex crease of W, whose curvature has no bound: this many shear moduli stand for it.

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from pipeline.mesh.simplex import Floats, Ints, Mesh
+from pipeline.arrays import Floats, Ints
+from pipeline.mesh.simplex import Mesh
 from pipeline.mesh.surface import outward_areas
 
 

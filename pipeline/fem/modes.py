@@ -5,9 +5,10 @@ from scipy.linalg import eigh
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh, splu
 
+from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
-from pipeline.mesh.simplex import Floats, component_labels
+from pipeline.mesh.simplex import component_labels
 
 # rigid modes of a free body come out as rounding: omega^2 below this part of (wave speed / size)^2
 _RIGID = 1e-6

@@ -10,7 +10,7 @@ that is least parallel to what it has; F = 0 gives the identity.
 
 import numpy as np
 
-from pipeline.mesh.simplex import Floats
+from pipeline.arrays import Floats
 
 # A column is taken for null, or for parallel to the one before, when less than this part of it is left:
 # below it the direction is rounding error.

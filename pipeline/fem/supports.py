@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.mesh.simplex import Floats, Ints
+from pipeline.arrays import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ VTK's errors become a SeriesError; nothing is printed.
 
 import contextlib
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -14,15 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Fields, Floats, Ints
 from pipeline.errors import SeriesError, shortened
 from pipeline.formats.vtu_read import Arrays, inline_file
 
-# as in mesh/simplex.py, which costs scipy: a child process that only reads shall start fast
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _CORNERS = {10: 4, 5: 3}  # of VTK's tetrahedron and triangle, the cells that are measured
 SUFFIXES = (".vtu", ".pvtu", ".vtk", ".vtp")  # of files that hold one instant
-Fields = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)

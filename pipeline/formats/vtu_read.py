@@ -20,10 +20,10 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Ints
 from pipeline.errors import SeriesError
 from pipeline.formats import preflight as claims
 
-Ints = NDArray[np.int64]
 # the names of types in .vtu, and numpy's
 TYPES = {f"{word}Int{8 * n}": f"{kind}{n}" for word, kind in (("", "i"), ("U", "u")) for n in (1, 2, 4, 8)} | {
     "Float32": "f4",

@@ -13,10 +13,10 @@ from scipy.linalg.lapack import dpbtrf, dpbtrs, spbtrf
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
-from pipeline.mesh.simplex import Floats
-from pipeline.stepping.state import Work
+from pipeline.linear.work import Work
 
 Factor = TypeVar("Factor")
 # single precision may lose what keeps a matrix definite: the mass of a free, stiff body in long steps

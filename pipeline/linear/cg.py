@@ -8,10 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
-from pipeline.mesh.simplex import Floats
-from pipeline.stepping.state import Work
+from pipeline.linear.work import Work
 
 _LIMIT = 2000
 

@@ -13,14 +13,14 @@ from typing import Protocol
 
 from scipy.sparse.linalg import splu
 
+from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
 from pipeline.linear.banded import band_of
 from pipeline.linear.cg import Frames
 from pipeline.linear.pardiso import Pardiso, library
 from pipeline.linear.rest_preconditioner import factor_kind
-from pipeline.mesh.simplex import Floats
-from pipeline.stepping.state import Work
+from pipeline.linear.work import Work
 from pipeline.system.memory import installed_bytes
 
 # [MB] of a double precision band. A matrix that stays is factored once: reading its band is what counts. One that

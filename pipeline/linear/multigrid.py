@@ -12,12 +12,11 @@ import numpy as np
 from scipy.linalg.lapack import spbtrs
 from scipy.sparse import bsr_array, csr_array
 
+from pipeline.arrays import Floats, Singles
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
 from pipeline.linear.banded import Band
-from pipeline.mesh.simplex import Floats
 
-Singles = np.ndarray
 # [MB] in double precision of the band at the end; of 40 and 20 at 100k tetrahedra the first saves a third of the cycles
 _LAST_BAND = 40.0
 # of the largest eigenvalue of a group's modes: below it there is no such motion, as rotations of a single node

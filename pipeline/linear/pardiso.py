@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.arrays import Floats, Ints
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
-from pipeline.mesh.simplex import Floats, Ints
-from pipeline.stepping.state import Work
+from pipeline.linear.work import Work
 
 _POSITIVE_DEFINITE = 2  # mtype: real, symmetric
 _ANALYSE_AND_FACTOR, _FACTOR, _SOLVE, _RELEASE = 12, 22, 33, -1

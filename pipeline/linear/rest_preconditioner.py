@@ -18,15 +18,14 @@ import numpy as np
 from scipy.linalg.lapack import spbtrs
 from scipy.sparse.linalg import splu
 
+from pipeline.arrays import Floats, Singles
 from pipeline.fem.assembly import BlockPattern
 from pipeline.linear import pardiso
 from pipeline.linear.banded import band_of, shifted
 from pipeline.linear.cg import ConjugateGradients, Frames
 from pipeline.linear.multigrid import Cycle, rigid_modes
-from pipeline.mesh.simplex import Floats
-from pipeline.stepping.state import Work
+from pipeline.linear.work import Work
 
-Singles = np.ndarray
 # [MB] of the band in double precision: above the first MKL's sparse factor is faster to read, above the second any is
 _SMALL_BAND = 20.0
 _LARGE_BAND = 60.0

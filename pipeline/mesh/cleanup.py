@@ -9,8 +9,9 @@ or be whole; and some mirrored cells among others, which lie on their neighbours
 
 import numpy as np
 
+from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
-from pipeline.mesh.simplex import CELL_NAMES, Floats, Ints, signed_volumes
+from pipeline.mesh.simplex import CELL_NAMES, signed_volumes
 
 
 def check_connectivity(points: Floats, cells: Ints) -> None:

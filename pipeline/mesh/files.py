@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, listed, shortened
 from pipeline.formats.meshio_reader import SIMPLICES, Block
 from pipeline.formats.preflight import refusal
@@ -18,7 +19,7 @@ from pipeline.mesh.cleanup import (
     without_repeated_cells,
     without_unused_nodes,
 )
-from pipeline.mesh.simplex import CELL_NAMES, Floats, Ints, Mesh
+from pipeline.mesh.simplex import CELL_NAMES, Mesh
 
 Note = Callable[[str], object]
 _NEEDED = "linear tetrahedra or planar triangles are needed"

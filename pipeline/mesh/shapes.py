@@ -6,8 +6,9 @@ from math import factorial, prod
 
 import numpy as np
 
+from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, shown
-from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
+from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.system.memory import free_bytes
 
 # split of a cell into simplices along the diagonal from its low to its high corner; `alternating` mirrors every other

@@ -4,14 +4,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _LARGEST = 1e30  # [m]: squares and cubes stay in what doubles hold
 _AT_A_TIME = 8192  # cells: what is made of them on the way stays in the cache
 CELL_NAMES = {2: "triangle", 3: "tetrahedron"}

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from pipeline.mesh.simplex import Floats, Ints, Mesh
+from pipeline.arrays import Floats, Ints
+from pipeline.mesh.simplex import Mesh
 
 # the face opposite vertex a, ordered so that its normal points out of a positively oriented cell
 _OUTWARD = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])}

@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.arrays import Floats, Ints
 from pipeline.case import Case, SpinSpec
 from pipeline.fem.body import Body
 from pipeline.fem.loads import body_force, normal_traction
 from pipeline.fem.supports import Motion, Supports
-from pipeline.mesh.simplex import Floats, Ints, Mesh
+from pipeline.mesh.simplex import Mesh
 from pipeline.mesh.surface import boundary_faces
 from pipeline.stepping.state import State
 

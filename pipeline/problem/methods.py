@@ -8,6 +8,7 @@ from typing import cast
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.case import MethodSpec
 from pipeline.fem.body import Body
 from pipeline.fem.compiled_body import make_body
@@ -21,7 +22,7 @@ from pipeline.linear.choice import LinearSolver, SuperLU, choice, pardiso_or_lu
 from pipeline.linear.pardiso import library
 from pipeline.linear.rest_preconditioner import Rest, factor_kind, multigrid_cg, warped_cg
 from pipeline.mesh.shapes import box, rectangle
-from pipeline.mesh.simplex import Floats, Mesh
+from pipeline.mesh.simplex import Mesh
 from pipeline.stepping import backward_euler, bdf2
 from pipeline.stepping.auto import COROTATIONAL, Auto
 from pipeline.stepping.backward_euler import BackwardEuler

@@ -14,9 +14,9 @@ import numpy as np
 
 from pipeline.analysis.node_distance import Apart, write_apart
 from pipeline.analysis.statistics import opened
+from pipeline.arrays import Floats
 from pipeline.errors import SeriesError
 from pipeline.formats.atomic import whole_file
-from pipeline.mesh.simplex import Floats
 from pipeline.run.frame import Frame, Values
 from pipeline.run.frames import record
 from pipeline.run.measures import AXES, QUANTILES, VARIABLES, attributes

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
 from pipeline.formats.atomic import write_whole
-from pipeline.mesh.simplex import Floats, quality
+from pipeline.mesh.simplex import quality
 from pipeline.problem.build import Problem
 from pipeline.problem.methods import STEP_LIMITS
 from pipeline.run.frame import Frame

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from pipeline.case import Case
 from pipeline.errors import OutputError, SolveError, shortened
 from pipeline.formats.atomic import write_whole
+from pipeline.linear.work import Work
 from pipeline.problem.build import Problem
 from pipeline.problem.methods import linear_solvers
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
@@ -34,7 +35,7 @@ from pipeline.run.frames import Recording, RunSummary, Watcher, drive, frames
 from pipeline.sinks.frame_formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.writer_process import WORTH_A_PROCESS, WriterProcess
-from pipeline.stepping.state import State, Work
+from pipeline.stepping.state import State
 from pipeline.system.version import VERSION
 
 Status = Literal["finished", "failed", "up to date"]

@@ -7,8 +7,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.mesh.simplex import Floats, Mesh
-from pipeline.stepping.state import State, Work
+from pipeline.arrays import Floats
+from pipeline.linear.work import Work
+from pipeline.mesh.simplex import Mesh
+from pipeline.stepping.state import State
 
 Values = Mapping[str, NDArray[np.float64]]
 

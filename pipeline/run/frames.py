@@ -7,14 +7,15 @@ from typing import Protocol
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.rotation import axial
-from pipeline.mesh.simplex import Floats
+from pipeline.linear.work import Work
 from pipeline.problem.build import Problem
 from pipeline.run.frame import Frame, Sink, Values
 from pipeline.run.measures import STEPS, measure, spatial
-from pipeline.stepping.state import State, Stepper, Work
+from pipeline.stepping.state import State, Stepper
 
 # [m, m/s]: volumes and energies of what is larger would overflow
 _BEYOND = 1e75

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
-from pipeline.mesh.simplex import Floats, Mesh, signed_volumes
+from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.run.frame import Frame, Values
 
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)

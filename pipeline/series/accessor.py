@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, SeriesError
-from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
+from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.run.measures import attributes, volumes_and_angles
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.errors import OutputError, SeriesError
 from pipeline.formats.atomic import write_whole
-from pipeline.mesh.simplex import Floats
 from pipeline.series.accessor import SeriesAccessor
 from pipeline.series.xarray_plugin import ATTRIBUTES, STATIC
 from pipeline.sinks.fields import Fields

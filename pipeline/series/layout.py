@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, SeriesError, listed, shortened
 from pipeline.mesh.cleanup import oriented
-from pipeline.mesh.simplex import CELL_NAMES, Floats, Ints, Mesh
+from pipeline.mesh.simplex import CELL_NAMES, Mesh
 from pipeline.series.frame_files import SUFFIXES, Grid, read_grid
 
 _KINDS = {3: 10, 2: 5}  # VTK's numbers of tetrahedron and triangle

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.mesh.simplex import Floats, Mesh
+from pipeline.arrays import Floats
+from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
 from pipeline.series.frame_files import Grid, read_grid

@@ -15,9 +15,10 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Ints
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.vtu_read import TYPES
-from pipeline.mesh.simplex import Ints, Mesh
+from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame, Values
 from pipeline.sinks.fields import CELL_TYPES, Fields, Precision, frame_fields, rest_positions
 

@@ -16,12 +16,12 @@ depends on how often it was solved.
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.fem.body import Body
 from pipeline.fem.frame_error import Turning
-from pipeline.mesh.simplex import Floats
+from pipeline.linear.work import Work
 from pipeline.stepping.newton import Converged
 from pipeline.stepping.stage import FrozenPasses, Prefactored, Stage, reached
-from pipeline.stepping.state import Work
 
 LINEAR, COROTATIONAL, CONVERGED = 0, 1, 2  # the rungs
 _SHRINKS = 0.5  # a frozen pass that leaves more than this part of the indicator is not getting there

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from math import atan, hypot, log
 
 from pipeline.fem.body import Body
+from pipeline.linear.work import Work
 from pipeline.stepping.inversion import Treatment, tracked_rotations
 from pipeline.stepping.stage import Stage, StageSolver
-from pipeline.stepping.state import State, Work
+from pipeline.stepping.state import State
 
 
 @dataclass(frozen=True, eq=False)

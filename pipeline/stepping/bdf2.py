@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.fem.body import Body
-from pipeline.mesh.simplex import Floats
+from pipeline.linear.work import Work
 from pipeline.stepping.backward_euler import BackwardEuler
 from pipeline.stepping.inversion import Treatment, tracked_rotations
 from pipeline.stepping.stage import Stage, StageSolver
-from pipeline.stepping.state import State, Work
+from pipeline.stepping.state import State
 
 
 @dataclass(eq=False)

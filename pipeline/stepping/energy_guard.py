@@ -7,10 +7,11 @@ kinetic part alone exceeds a tenth of that bound: what blows up, moves.
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
-from pipeline.mesh.simplex import Floats
-from pipeline.stepping.state import State, Stepper, Work
+from pipeline.linear.work import Work
+from pipeline.stepping.state import State, Stepper
 
 _FACTOR = 10.0
 _STRIKES = 3

@@ -15,10 +15,10 @@ from typing import Protocol
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.fem.body import Body
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import polar
-from pipeline.mesh.simplex import Floats
 from pipeline.stepping.state import State
 
 Memory = Mapping[str, Floats]

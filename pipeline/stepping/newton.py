@@ -19,13 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Tangent
 from pipeline.linear.choice import LinearSolver
-from pipeline.mesh.simplex import Floats
+from pipeline.linear.work import Work
 from pipeline.stepping.stage import Stage, StageSystem, reached
-from pipeline.stepping.state import Work
 
 _PREDICTOR_ITERATIONS = 30  # where the predictor is good it needs 3 to 6, in fast spin about a generic axis 16 to 30
 _NEAR = 1e-2  # of the forces: from here the exact tangent is tried

@@ -20,11 +20,11 @@ from typing import Protocol
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Tangent
 from pipeline.linear.choice import LinearSolver
-from pipeline.mesh.simplex import Floats
-from pipeline.stepping.state import Work
+from pipeline.linear.work import Work
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.mesh.simplex import Floats
+from pipeline.arrays import Floats
+from pipeline.linear.work import Work
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,46 +23,6 @@ class State:
     x: Floats
     v: Floats
     memory: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
-
-
-@dataclass(slots=True)  # not frozen: that makes it five times slower to make, several times a step
-class Work:
-    """What was done: counts that machines share, and the seconds that they do not.
-
-    Who is returned one may count on in it.
-
-    `rung` and `indicator` say which model the most demanding step needed, and its spurious volume (fidelity.py).
-    `history` has these two and the solves of each step of model = "auto", for as long as someone asks.
-    `iterations` counts the linear systems' right-hand sides posed (Newton iterations), `solves` the systems solved for
-    them, `linear_iterations` what iterative solvers took for it; `seconds` is solving alone, without measuring or
-    writing.
-    """
-
-    steps: int = 0
-    solves: int = 0
-    iterations: int = 0
-    factorisations: int = 0
-    linear_iterations: int = 0
-    rotations: int = 0
-    seconds: float = 0.0
-    rung: int = 0
-    indicator: float = 0.0
-    history: tuple[tuple[int, int, float], ...] = ()
-
-    def __add__(self, other: "Work") -> "Work":
-        # written out: it is called several times a step, and small bodies take a tenth of a millisecond a step
-        return Work(
-            self.steps + other.steps,
-            self.solves + other.solves,
-            self.iterations + other.iterations,
-            self.factorisations + other.factorisations,
-            self.linear_iterations + other.linear_iterations,
-            self.rotations + other.rotations,
-            self.seconds + other.seconds,
-            self.rung if self.rung >= other.rung else other.rung,
-            self.indicator if self.indicator >= other.indicator else other.indicator,
-            self.history + other.history,
-        )
 
 
 class Stepper(Protocol):

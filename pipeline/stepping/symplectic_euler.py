@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
+from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.element import stiffness_blocks
-from pipeline.mesh.simplex import Floats
+from pipeline.linear.work import Work
 from pipeline.stepping.inversion import Treatment, tracked_rotations
-from pipeline.stepping.state import State, Work
+from pipeline.stepping.state import State
 
 
 @dataclass(eq=False)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.mesh.simplex import Floats
+from pipeline.arrays import Floats
 from pipeline.views.track import Track, drawn_points
 
 

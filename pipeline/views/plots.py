@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.errors import OutputError
 from pipeline.formats.atomic import whole_file
-from pipeline.mesh.simplex import Floats
 
 if TYPE_CHECKING:
     import xarray

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
+from pipeline.arrays import Floats, Ints
+from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.mesh.surface import boundary_faces
 from pipeline.series import Series
 

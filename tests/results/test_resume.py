@@ -17,6 +17,7 @@ from pipeline.analysis.statistics import series_statistics
 from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.errors import CaseError
+from pipeline.linear.work import Work
 from pipeline.results import resume as record_keeping
 from pipeline.results import run_case as campaign
 from pipeline.results import variant as variant_run
@@ -26,7 +27,7 @@ from pipeline.results.run_case import CampaignResult, run_campaign
 from pipeline.run.frames import RunSummary
 from pipeline.series import read_series
 from pipeline.stepping.bdf2 import BDF2
-from pipeline.stepping.state import State, Work
+from pipeline.stepping.state import State
 from tests.bodies import PLANAR, case_document, without_figures, write_case
 
 ONE = {"only": {}}

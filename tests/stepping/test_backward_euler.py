@@ -13,9 +13,10 @@ from pipeline.fem.loads import body_force
 from pipeline.fem.modes import lowest_frequencies
 from pipeline.linear.cg import block_jacobi_cg
 from pipeline.linear.choice import SuperLU
+from pipeline.linear.work import Work
 from pipeline.mesh.simplex import Mesh
 from pipeline.stepping.backward_euler import damping_ratio
-from pipeline.stepping.state import State, Work
+from pipeline.stepping.state import State
 from tests.bodies import BOXES, METHODS, clamped_bar, motion, solid, spin, stepper, thesis_bar
 
 RNG = np.random.default_rng(3)

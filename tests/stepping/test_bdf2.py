@@ -7,10 +7,11 @@ import pytest
 
 from pipeline.fem.modes import lowest_frequencies
 from pipeline.fem.supports import Motion
+from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.run.frames import frames
 from pipeline.stepping.bdf2 import mode_factor
-from pipeline.stepping.state import State, Work
+from pipeline.stepping.state import State
 from tests.bodies import METHODS, built, clamped_bar, motion, solid, stepper
 
 ITERATIONS = pytest.mark.parametrize("iterations", [1, "converged"])

@@ -10,12 +10,13 @@ from pipeline import build, load_case
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.material import Material
+from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.build import Problem
 from pipeline.run.frames import frames
 from pipeline.stepping.energy_guard import Guarded
-from pipeline.stepping.state import State, Work
+from pipeline.stepping.state import State
 from pipeline.stepping.symplectic_euler import SymplecticEuler, true_limit
 from tests.bodies import METHODS, PLANAR, built, clamped_bar, solid, spin, stepper
 

@@ -11,12 +11,13 @@ from pipeline.fem.body import Body
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.loads import body_force
 from pipeline.fem.material import Material
+from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.problem.methods import stage_solver
 from pipeline.run.frames import frames
 from pipeline.stepping.newton import Converged
 from pipeline.stepping.stage import Stage
-from pipeline.stepping.state import State, Work
+from pipeline.stepping.state import State
 from tests.bodies import BOXES, METHODS, built, motion, solid, spin, stepper, turn
 
 RNG = np.random.default_rng(8)

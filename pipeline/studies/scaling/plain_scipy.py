@@ -7,10 +7,10 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
+from pipeline.arrays import Floats
 from pipeline.fem.body import Body
 from pipeline.fem.element import deformation_gradient, nodal_forces, stiffness_blocks
 from pipeline.fem.rotation import polar_by_svd
-from pipeline.mesh.simplex import Floats
 
 
 class PlainStep:

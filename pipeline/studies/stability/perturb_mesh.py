@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
-from pipeline.mesh.simplex import Floats, Ints, Mesh, signed_volumes
+from pipeline.mesh.simplex import Mesh, signed_volumes
 
 # apexes moved at once: some of every kind of place, and few enough that the rest of the body is as it was
 _MOST = 8

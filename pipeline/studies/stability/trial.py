@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.case import Case, load_case
 from pipeline.errors import CaseError, MeshError, SolveError
-from pipeline.mesh.simplex import Floats, Mesh, signed_volumes
+from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.problem.build import Problem, build
 from pipeline.run.frame import Frame
 from pipeline.run.frames import frames

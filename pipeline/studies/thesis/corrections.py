@@ -10,8 +10,9 @@ from functools import partial
 
 import numpy as np
 
+from pipeline.arrays import Floats, Ints
 from pipeline.fem.modes import lowest_frequencies
-from pipeline.mesh.simplex import Floats, Ints, Mesh
+from pipeline.mesh.simplex import Mesh
 from pipeline.problem.build import Problem
 from pipeline.studies.thesis.formulas_as_printed import force_6_12, step_4_48, stiffness_4_30, stiffness_4_32
 from pipeline.studies.thesis.published import CORRECTIONS, Correction

@@ -11,8 +11,9 @@ corrections table and its tests use these; the program has its own formulas.
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.fem.material import Material
-from pipeline.mesh.simplex import Floats, Mesh
+from pipeline.mesh.simplex import Mesh
 
 
 def stiffness_4_30(mesh: Mesh, material: Material, *, corrected: bool = False) -> Floats:

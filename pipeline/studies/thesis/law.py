@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
-from pipeline.mesh.simplex import Floats, Mesh
+from pipeline.mesh.simplex import Mesh
 from pipeline.series import Series
 
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.arrays import Floats, Ints
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.modes import lowest_frequencies
-from pipeline.mesh.simplex import Floats, Ints
 from pipeline.studies.tradeoff.motion import Motion
 
 # unit and meaning of every measure

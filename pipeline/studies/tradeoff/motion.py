@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.arrays import Floats
 from pipeline.case import Case
 from pipeline.errors import SolveError
-from pipeline.mesh.simplex import Floats, Mesh, signed_volumes
+from pipeline.linear.work import Work
+from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.problem.build import Problem, build
 from pipeline.results.variant import determining
 from pipeline.run.frame import Frame
 from pipeline.run.frames import frames
-from pipeline.stepping.state import Work
 
 COUNTS = ("steps", "solves", "iterations", "factorisations", "rotations")
 _ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.arrays import Ints
 from pipeline.case import Case
 from pipeline.case.specs import ONLY_VARIANT, MeshSpec
-from pipeline.mesh.simplex import Ints
 from pipeline.problem.build import build, settled
 from pipeline.problem.methods import STEP_LIMITS
 

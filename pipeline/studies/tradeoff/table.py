@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import SolveError
+from pipeline.linear.work import Work
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.build import build, build_mesh
-from pipeline.stepping.state import Work
 from pipeline.studies.tradeoff.deviation import DISTANCES, MEASURES, FirstMode, deviation, distances, error, first_mode
 from pipeline.studies.tradeoff.motion import COUNTS, Motion, read_motion
 from pipeline.studies.tradeoff.settings import Plan, Setting, nested, point_case

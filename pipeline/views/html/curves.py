@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.mesh.simplex import Floats
+from pipeline.arrays import Floats
 
 if TYPE_CHECKING:
     import xarray

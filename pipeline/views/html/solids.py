@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.mesh.simplex import Floats, Ints
+from pipeline.arrays import Floats, Ints
 from pipeline.series import Series
 from pipeline.views.camera import Camera, fit_camera
 from pipeline.views.html.curves import numbers

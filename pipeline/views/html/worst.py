@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.mesh.simplex import Floats, Mesh
+from pipeline.arrays import Floats
+from pipeline.mesh.simplex import Mesh
 
 if TYPE_CHECKING:
     import xarray

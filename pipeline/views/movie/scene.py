@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.mesh.simplex import Floats, Ints
+from pipeline.arrays import Floats, Ints
 from pipeline.views.camera import Camera
 from pipeline.views.track import Track, sharp_edges
 
