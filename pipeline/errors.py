@@ -39,7 +39,7 @@ class OutputError(PipelineError):
     exit_code = 4
 
 
-def shown(value: object) -> str:
+def quote_value(value: object) -> str:
     """A value as a message quotes it: one line, printable, at most 60 characters."""
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -47,18 +47,18 @@ def shown(value: object) -> str:
         text = repr(dict(value)) if isinstance(value, Mapping) else repr(value)
     except ValueError:  # an integer beyond Python's limit of digits
         return "a number of thousands of digits"
-    return shortened(text)
+    return shorten(text)
 
 
-def shortened(text: str, longest: int = LONGEST_QUOTE) -> str:
+def shorten(text: str, longest: int = LONGEST_QUOTE) -> str:
     """The text, or its beginning, on one line, printable and not longer than that."""
     text = text[: longest + 1]  # escaped, it only becomes longer
     text = text if text.isprintable() else ascii(text)[1:-1]
     return text if len(text) <= longest else text[: longest - 3] + "..."
 
 
-def listed(names: Iterable[str]) -> str:
+def join_names(names: Iterable[str]) -> str:
     """Names as a message lists them: joined by commas, each shortened, at most 20 of them."""
-    texts = [shortened(name) for name in names]
+    texts = [shorten(name) for name in names]
     more = len(texts) - _LONGEST_LIST
     return ", ".join(texts[:_LONGEST_LIST]) + (f" and {more} more" if more > 0 else "")

@@ -5,13 +5,13 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import CaseError, shortened, shown
+from pipeline.errors import CaseError, quote_value, shorten
 
 
 def read_document(path: Path) -> dict[str, Any]:
     """The tables of a TOML file. CaseError names what is in the way, with the line where there is one."""
     if "\0" in str(path):
-        raise CaseError(f"{shown(str(path))}: no such file")
+        raise CaseError(f"{quote_value(str(path))}: no such file")
     try:
         if path.is_dir():
             raise CaseError(f"{path}: is a folder, not a case file{_inside(path)}")
@@ -34,7 +34,7 @@ def _parsed(text: str, path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         reason = " ".join(str(error).split())
         end = f"at line {text.count(chr(10)) + 1}, the end of the file"
-        raise CaseError(f"{path}: not TOML: {shortened(reason.replace('at end of document', end), 200)}") from None
+        raise CaseError(f"{path}: not TOML: {shorten(reason.replace('at end of document', end), 200)}") from None
     except ValueError as error:  # a number beyond Python's limit of digits, a day that no month has
         raise CaseError(f"{path}: not TOML: {' '.join(str(error).split())}") from None
 

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 
 from pipeline.case.specs import CaseFile
 from pipeline.case.values import as_toml, dotted
-from pipeline.errors import shown
+from pipeline.errors import quote_value
 
 WANTED = {
     "model_type": "a table",
@@ -36,7 +36,7 @@ def first_fault(error: ValidationError, overrides: Iterable[str] = ()) -> tuple[
             return parts, str(context["message"])
         case kind if kind in WANTED:
             remedy = as_toml(detail["input"]) if kind == "tuple_type" else ""
-            return parts, f"{shown(detail['input'])} is not {WANTED[kind]}{remedy}"
+            return parts, f"{quote_value(detail['input'])} is not {WANTED[kind]}{remedy}"
     return parts, " ".join(detail["msg"].split())
 
 

@@ -13,7 +13,7 @@ from pipeline.case.messages import blamed, first_fault
 from pipeline.case.overrides import forgotten, overridden
 from pipeline.case.specs import ONLY_VARIANT, CaseFile, MovieSpec, Spec
 from pipeline.case.values import dotted
-from pipeline.errors import CaseError, listed, shown
+from pipeline.errors import CaseError, join_names, quote_value
 
 
 class Case(CaseFile):
@@ -41,7 +41,9 @@ class Case(CaseFile):
     def variant(self, name: str) -> "Case":
         """The case with one variant's overrides applied and no variants. CaseError for an unknown name."""
         if name not in self.variant_names:
-            raise CaseError(f"{self.path}: no variant {shown(name)}; choose from {listed(self.variant_names)}")
+            raise CaseError(
+                f"{self.path}: no variant {quote_value(name)}; choose from {join_names(self.variant_names)}"
+            )
         document = self._document(written=True)
         document.pop("variants", None)
         document.get("movie", {}).pop("variants", None)

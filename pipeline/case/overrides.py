@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.case.values import dotted
-from pipeline.errors import CaseError, shown
+from pipeline.errors import CaseError, quote_value
 
 
 def parse_override(text: str) -> tuple[str, object]:
@@ -13,7 +13,7 @@ def parse_override(text: str) -> tuple[str, object]:
     key, equals, value = text.partition("=")
     key, value = key.strip(), value.strip()
     if not equals or not key:
-        raise CaseError(f"--set {shown(text)}: write key=value, such as schedule.dt=0.01")
+        raise CaseError(f"--set {quote_value(text)}: write key=value, such as schedule.dt=0.01")
     try:
         table = tomllib.loads(f"value = {value}")
     except (ValueError, RecursionError):
@@ -51,6 +51,6 @@ def _replaced(node: Any, parts: list[str], value: object, done: tuple[str, ...])
         index = int(head) if head.isascii() and head.isdecimal() and len(head) < 10 else -1
         if not 0 <= index < len(node):
             has = f"entries 0 to {len(node) - 1}" if node else "no entries"
-            raise ValueError(f"{dotted(done)} is a list with {has}; it has no {shown(head)}")
+            raise ValueError(f"{dotted(done)} is a list with {has}; it has no {quote_value(head)}")
         return [*node[:index], _replaced(node[index], rest, value, (*done, head)), *node[index + 1 :]]
-    raise ValueError(f"{dotted(done)} is {shown(node)}, not a table")
+    raise ValueError(f"{dotted(done)} is {quote_value(node)}, not a table")

@@ -24,7 +24,7 @@ from pipeline.case.values import (
     fault,
     folder_name,
 )
-from pipeline.errors import listed, shown
+from pipeline.errors import join_names, quote_value
 
 # A ratio this near to a whole number is meant to be one: 0.3 / 0.1 is not 3 in floating point.
 INTERVAL_RTOL = 1e-9
@@ -122,7 +122,7 @@ def _box(corners: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...
     if len(low) != len(high):
         raise fault(f"corners have {len(low)} and {len(high)} entries")
     if any(a > b for a, b in zip(low, high, strict=True)):
-        raise fault(f"{shown(list(low))} is not below {shown(list(high))}; write [[lowest], [highest]]")
+        raise fault(f"{quote_value(list(low))} is not below {quote_value(list(high))}; write [[lowest], [highest]]")
     return corners
 
 
@@ -280,10 +280,10 @@ class CaseFile(Spec):
         known = tuple(self.variants) or (ONLY_VARIANT,)
         for index, name in enumerate(self.movie.variants):
             if name not in known:
-                message = f"no variant {shown(name)}; choose from {listed(known)}"
+                message = f"no variant {quote_value(name)}; choose from {join_names(known)}"
                 raise fault(message, "movie", "variants", str(index))
             if name in self.movie.variants[:index]:
-                raise fault(f"{shown(name)} is listed twice", "movie", "variants", str(index))
+                raise fault(f"{quote_value(name)} is listed twice", "movie", "variants", str(index))
         return self
 
     @model_validator(mode="after")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, PlainValidator
 from pydantic_core import PydanticCustomError
 
-from pipeline.errors import shortened, shown
+from pipeline.errors import quote_value, shorten
 
 # Counts and node numbers stay in 32 bits, as they do in VTK files and in compiled kernels.
 LARGEST_INTEGER = 2**31 - 1
@@ -27,7 +27,7 @@ def fault(message: str, *key: str) -> PydanticCustomError:
 
 def dotted(parts: tuple[str, ...]) -> str:
     """A key as it is written in TOML: parts joined by dots, quoted where a bare key would not do."""
-    return ".".join(shortened(part) if BARE_KEY.fullmatch(part) else f'"{shortened(part)}"' for part in parts)
+    return ".".join(shorten(part) if BARE_KEY.fullmatch(part) else f'"{shorten(part)}"' for part in parts)
 
 
 def as_toml(value: object) -> str:
@@ -40,54 +40,54 @@ def as_toml(value: object) -> str:
     except (ValueError, RecursionError):
         return ""
     finite = isinstance(meant, int | float) and math.isfinite(meant) and not isinstance(meant, bool)
-    return f"; write {shortened(text)}" if finite or isinstance(meant, list) else ""
+    return f"; write {shorten(text)}" if finite or isinstance(meant, list) else ""
 
 
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise fault(f"{shown(value)} is not a number{as_toml(value)}")
+        raise fault(f"{quote_value(value)} is not a number{as_toml(value)}")
     try:
         number = float(value)
     except OverflowError:
-        raise fault(f"{shown(value)} is too large") from None
+        raise fault(f"{quote_value(value)} is too large") from None
     if not math.isfinite(number):
-        raise fault(f"{shown(value)} is not finite")
+        raise fault(f"{quote_value(value)} is not finite")
     if abs(number) > LARGEST_NUMBER:
-        raise fault(f"{shown(value)} is too large; numbers go up to {LARGEST_NUMBER:g}")
+        raise fault(f"{quote_value(value)} is too large; numbers go up to {LARGEST_NUMBER:g}")
     return number
 
 
 def _positive(value: Any) -> float:
     number = _number(value)
     if number <= 0:
-        raise fault(f"{shown(value)} is not positive")
+        raise fault(f"{quote_value(value)} is not positive")
     if number < SMALLEST_POSITIVE:
-        raise fault(f"{shown(value)} is too small; positive numbers start at {SMALLEST_POSITIVE:g}")
+        raise fault(f"{quote_value(value)} is too small; positive numbers start at {SMALLEST_POSITIVE:g}")
     return number
 
 
 def _fraction(value: Any) -> float:
     number = _number(value)
     if not SMALLEST_POSITIVE <= number < 1:
-        raise fault(f"{shown(value)} is not between 0 and 1")
+        raise fault(f"{quote_value(value)} is not between 0 and 1")
     return number
 
 
 def _poisson_ratio(value: Any) -> float:
     number = _number(value)
     if number >= 0.5:
-        raise fault(f"{shown(value)} is not below 0.5")
+        raise fault(f"{quote_value(value)} is not below 0.5")
     if number <= -1:
-        raise fault(f"{shown(value)} is not above -1")
+        raise fault(f"{quote_value(value)} is not above -1")
     return number
 
 
 def integer(value: Any) -> int:
     """The value, if it is an integer of a sane size; 2.0 and true are none."""
     if isinstance(value, bool) or not isinstance(value, int):
-        raise fault(f"{shown(value)} is not an integer")
+        raise fault(f"{quote_value(value)} is not an integer")
     if abs(value) > LARGEST_INTEGER:
-        raise fault(f"{shown(value)} is too large")
+        raise fault(f"{quote_value(value)} is too large")
     return value
 
 
@@ -107,16 +107,16 @@ def _iterations(value: Any) -> Any:
     counted = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= LARGEST_INTEGER
     if counted or value == "converged":
         return value
-    raise fault(f'{shown(value)} is not a positive integer or "converged"')
+    raise fault(f'{quote_value(value)} is not a positive integer or "converged"')
 
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        raise fault(f"{shown(value)} is not a string")
+        raise fault(f"{quote_value(value)} is not a string")
     if not value:
         raise fault("is empty")
     if not value.isprintable():
-        raise fault(f"{shown(value)} has unprintable characters")
+        raise fault(f"{quote_value(value)} has unprintable characters")
     return value
 
 
@@ -124,7 +124,7 @@ def folder_name(value: Any) -> str:
     """The value, if it can name a folder on every system."""
     if not FOLDER_NAME.fullmatch(_text(value)):
         wanted = "use up to 100 letters, digits, _, - and ., not starting with ."
-        raise fault(f"{shown(value)} cannot name a folder; {wanted}")
+        raise fault(f"{quote_value(value)} cannot name a folder; {wanted}")
     return str(value)
 
 
@@ -133,7 +133,7 @@ def choice(*names: str) -> PlainValidator:
 
     def chosen(value: Any) -> str:
         if not isinstance(value, str) or value not in names:
-            raise fault(f"{shown(value)} is not one of {', '.join(names)}")
+            raise fault(f"{quote_value(value)} is not one of {', '.join(names)}")
         return value
 
     return PlainValidator(chosen)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pipeline.case import Case, load_case, parse_override
 from pipeline.cli.terminal import progress, say
-from pipeline.errors import CaseError, SolveError, shown
+from pipeline.errors import CaseError, SolveError, quote_value
 
 if TYPE_CHECKING:
     from pipeline.studies.tradeoff.settings import Plan
@@ -105,7 +105,7 @@ def _tradeoff_cases(options: argparse.Namespace) -> list[Case]:
     names = [case.name for case in cases.values()]
     for case in cases.values():
         if names.count(case.name) > 1:
-            raise case.error("name", f"{shown(case.name)} is the name of another case too: one folder for both")
+            raise case.error("name", f"{quote_value(case.name)} is the name of another case too: one folder for both")
     return list(cases.values())
 
 
@@ -196,7 +196,7 @@ def _counts(text: str) -> list[int]:
     try:
         return [int(part) for part in text.split("x")]
     except ValueError:
-        raise CaseError(f"--cells {shown(text)}: is not like 8x26x8") from None
+        raise CaseError(f"--cells {quote_value(text)}: is not like 8x26x8") from None
 
 
 STUDIES: Mapping[str, Study] = {

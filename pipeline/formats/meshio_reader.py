@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import MeshError, shortened
+from pipeline.errors import MeshError, shorten
 
 SIMPLICES = {2: "triangle", 3: "tetra"}  # meshio's names
 # kind, dimension, count, and the nodes (count, corners) where they are linear simplices
@@ -34,7 +34,7 @@ def plain_mesh(path: Path) -> tuple[Any, list[Block], str]:
         why = said.getvalue() if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
         missing = f"; pip install {error.name}" if isinstance(error, ModuleNotFoundError) else ""
         # the parser of a text file may quote all of it; the first words say what it stumbled on
-        raise MeshError(f"{path}: meshio cannot read it ({shortened(' '.join(why.split()), 300)}){missing}") from error
+        raise MeshError(f"{path}: meshio cannot read it ({shorten(' '.join(why.split()), 300)}){missing}") from error
     return points, blocks, " ".join(said.getvalue().split())
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from os.path import normpath
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
-from pipeline.errors import shortened
+from pipeline.errors import shorten
 
 _XML = (".vtu", ".pvtu", ".vtp", ".pvd", ".xdmf", ".xmf")
 _HEAD = 1 << 16
@@ -43,7 +43,7 @@ def leaving(name: str) -> str | None:
         return None  # what an index of thousands of frames says
     absolute = PurePosixPath(name).is_absolute() or PureWindowsPath(name).is_absolute() or PureWindowsPath(name).drive
     if absolute or inside.split("/")[0] == "..":
-        return f"it names a file outside its own folder ({shortened(name, 200)}); put it beside its files"
+        return f"it names a file outside its own folder ({shorten(name, 200)}); put it beside its files"
     return None
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Fields, Floats, Ints
-from pipeline.errors import SeriesError, shortened
+from pipeline.errors import SeriesError, shorten
 from pipeline.formats.vtu_read import Arrays, inline_file
 
 _CORNERS = {10: 4, 5: 3}  # of VTK's tetrahedron and triangle, the cells that are measured
@@ -121,7 +121,7 @@ def _reader(file: Path) -> tuple[Any, list[str]]:
     }
     if file.suffix not in kinds:
         raise SeriesError(
-            f"{file}: {shortened(file.suffix) or 'a file without suffix'} is not read; one of {', '.join(kinds)} is"
+            f"{file}: {shorten(file.suffix) or 'a file without suffix'} is not read; one of {', '.join(kinds)} is"
         )
     reader, errors = kinds[file.suffix](), list[str]()
 
@@ -155,7 +155,7 @@ def _heard(errors: list[str]) -> Iterator[None]:
 def _refuse(file: Path, errors: list[str], code: int) -> None:
     if errors or code:
         said = errors[0].rsplit("): ", 1)[-1] if errors else f"error {code} of VTK"
-        raise SeriesError(f"{file}: cannot be read ({shortened(said, 200)})")
+        raise SeriesError(f"{file}: cannot be read ({shorten(said, 200)})")
 
 
 def _from_vtk(data: Any, file: Path) -> Grid:
@@ -216,7 +216,7 @@ def _xdmf_grid(file: Path, step: int) -> Grid:
         _, point_data, cell_data = reader.read_data(step)
     except Exception as error:  # meshio lets through whatever its parsers raise
         raise SeriesError(
-            f"{file}: step {step} cannot be read ({type(error).__name__}: {shortened(str(error), 200)})"
+            f"{file}: step {step} cannot be read ({type(error).__name__}: {shorten(str(error), 200)})"
         ) from error
     grid = pyvista.from_meshio(meshio.Mesh(points, cells, point_data, cell_data))
     return _from_vtk(grid, file)
@@ -238,7 +238,7 @@ def _xdmf(file: Path, _modified: int) -> tuple[Any, Any, Any, tuple[float, ...]]
         raise SeriesError(f"{file}: its arrays lie in an HDF5 file; pip install {error.name}") from error
     except (Exception, SystemExit) as error:
         words = " ".join(f"{error} {said.getvalue()}".split()) or "not a temporal collection of XDMF 3"
-        raise SeriesError(f"{file}: meshio cannot read it ({type(error).__name__}: {shortened(words, 200)})") from error
+        raise SeriesError(f"{file}: meshio cannot read it ({type(error).__name__}: {shorten(words, 200)})") from error
     if moving:
         raise SeriesError(f"{file}: {len(moving)} steps carry a geometry of their own, which meshio cannot read")
     if points.shape[1] == 2:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
-from pipeline.errors import MeshError, listed, shortened
+from pipeline.errors import MeshError, join_names, shorten
 from pipeline.formats.meshio_reader import SIMPLICES, Block
 from pipeline.formats.preflight import refusal
 from pipeline.formats.sandbox import READER
@@ -53,7 +53,7 @@ def read_mesh(path: Path, scale: float = 1.0, *, note: Note | None = None) -> Me
 def _read(path: Path) -> tuple[Floats, list[Block], str]:
     """Return points, blocks of cells and what meshio would have printed, read in a child process."""
     if not isfile(path):
-        raise MeshError(f"{shortened(str(path), 500)}: no such mesh file")
+        raise MeshError(f"{shorten(str(path), 500)}: no such mesh file")
     if not path.stat().st_size:
         raise MeshError(f"{path}: the file is empty")
     if why := refusal(path):
@@ -84,7 +84,7 @@ def _simplices(points: Floats, blocks: Sequence[Block]) -> tuple[Floats, Ints, l
 
 
 def _listed(kinds: Iterable[str]) -> str:
-    return listed(sorted(set(kinds))) or "no cells"
+    return join_names(sorted(set(kinds))) or "no cells"
 
 
 def _remedy(kinds: set[str], d: int) -> str:

@@ -7,7 +7,7 @@ from math import factorial, prod
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
-from pipeline.errors import MeshError, shown
+from pipeline.errors import MeshError, quote_value
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.system.memory import free_bytes
 
@@ -31,7 +31,7 @@ def _grid(size: Sequence[float], cells: Sequence[int], split: str, *, dimension:
     if len(size) != dimension or len(cells) != dimension:
         raise MeshError(f"a {name} takes {dimension} sizes and {dimension} cell counts, not {size} and {cells}")
     if split not in SPLITS:
-        raise MeshError(f"split {shown(split)} is not one of {', '.join(SPLITS)}")
+        raise MeshError(f"split {quote_value(split)} is not one of {', '.join(SPLITS)}")
     _check_memory(cells, dimension)
     counts = np.array(cells) + 1
     index = np.stack(np.meshgrid(*[np.arange(c) for c in counts], indexing="ij"), axis=-1).reshape(-1, dimension)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.case import Case, MethodSpec
-from pipeline.errors import MeshError, listed, shown
+from pipeline.errors import MeshError, join_names, quote_value
 from pipeline.fem.body import Body
 from pipeline.fem.compiled_body import make_body
 from pipeline.fem.laws import Corotational
@@ -46,7 +46,7 @@ def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
     if case.variant_name is None and len(case.variant_names) == 1:
         case = case.variant(case.variant_names[0])
     elif case.variant_name is None:
-        raise case.error("variants", f"choose one with case.variant(name): {listed(case.variant_names)}")
+        raise case.error("variants", f"choose one with case.variant(name): {join_names(case.variant_names)}")
     case = settled(case)
     _check_method(case)
     mesh_notes: list[str] = []
@@ -140,7 +140,7 @@ def _check_step(case: Case, body: Body) -> None:
 
 def _chosen(case: Case, key: str, name: str, table: Mapping[str, Any]) -> str:
     if name not in table:
-        raise case.error(key, f"{shown(name)} is not one of {', '.join(table)}")
+        raise case.error(key, f"{quote_value(name)} is not one of {', '.join(table)}")
     return name
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.analysis.statistics import joined, read_statistics, write_dataset
 from pipeline.case import Case, load_case
-from pipeline.errors import OutputError, listed
+from pipeline.errors import OutputError, join_names
 from pipeline.problem.build import settled
 from pipeline.results.variant import UNFINISHED, determining, read_run
 from pipeline.series import read_series
@@ -134,5 +134,5 @@ def movie_of_folder(folder: Path, *, on_drawing: Callable[[int, int], None] | No
     runs = recorded(case, folder)
     shown = [name for name in case.movie.variants if name in runs]
     if not shown:
-        raise OutputError(f"{folder}: none of {listed(case.movie.variants)} has a recorded frame of this case")
+        raise OutputError(f"{folder}: none of {join_names(case.movie.variants)} has a recorded frame of this case")
     return draw_movie(case, folder, shown, on_drawing=on_drawing)

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from threadpoolctl import threadpool_limits
 
 from pipeline.case import Case
-from pipeline.errors import OutputError, SolveError, shortened
+from pipeline.errors import OutputError, SolveError, shorten
 from pipeline.formats.atomic import write_whole
 from pipeline.linear.work import Work
 from pipeline.problem.build import Problem
@@ -84,9 +84,7 @@ def difference(old: dict[str, Any], new: dict[str, Any]) -> str:
     """Return the first three keys at which two cases differ, with both values."""
     before, after = _flat(old), _flat(new)
     keys = [key for key in {**before, **after} if before.get(key) != after.get(key)]
-    shown = [
-        f"{key}: {shortened(str(before.get(key)))} there, {shortened(str(after.get(key)))} here" for key in keys[:3]
-    ]
+    shown = [f"{key}: {shorten(str(before.get(key)))} there, {shorten(str(after.get(key)))} here" for key in keys[:3]]
     return "; ".join(shown) + (f"; and {len(keys) - 3} more" if len(keys) > 3 else "")
 
 

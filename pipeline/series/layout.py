@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
-from pipeline.errors import MeshError, SeriesError, listed, shortened
+from pipeline.errors import MeshError, SeriesError, join_names, shorten
 from pipeline.mesh.cleanup import oriented
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 from pipeline.series.frame_files import SUFFIXES, Grid, read_grid
@@ -66,7 +66,7 @@ class Layout:
         """Return the positions of a frame (n, d); raises SeriesError where they are not those of this mesh."""
         self.check_cells(grid, where)
         if self.guessed and not np.array_equal(grid.points, self.grid.points):
-            field = shortened(self.displacement or "")
+            field = shorten(self.displacement or "")
             raise SeriesError(
                 f"{where}: the points move, unlike those of the first, the middle and the last frame: say whether "
                 f'displacement = "{field}" has to be added to them, or "none"'
@@ -95,10 +95,10 @@ def deformed(grid: Grid, displacement: str | None, where: str) -> Floats:
     if displacement is None:
         return grid.points
     if displacement not in grid.point_data:
-        raise SeriesError(f"{where}: no point field {shortened(displacement)}; it has {_listed(grid.point_data)}")
+        raise SeriesError(f"{where}: no point field {shorten(displacement)}; it has {_listed(grid.point_data)}")
     field = np.asarray(grid.point_data[displacement], dtype=np.float64)
     if field.ndim != 2 or field.shape[1] not in (2, 3):
-        raise SeriesError(f"{where}: the point field {shortened(displacement)} {field.shape} is no vector field")
+        raise SeriesError(f"{where}: the point field {shorten(displacement)} {field.shape} is no vector field")
     return grid.points + np.pad(field, [(0, 0), (0, 3 - field.shape[1])])
 
 
@@ -209,4 +209,4 @@ def _rest_points(first: Grid, displacement: str | None, options: Options, where:
 
 
 def _listed(names: Iterable[str]) -> str:
-    return listed(sorted(names)) or "none"
+    return join_names(sorted(names)) or "none"

@@ -10,7 +10,7 @@ from os.path import exists, isdir  # pathlib's raise where a name is longer than
 from pathlib import Path
 from typing import NamedTuple
 
-from pipeline.errors import SeriesError, listed, shortened
+from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.preflight import leaving, refusal
 from pipeline.series.frame_files import SUFFIXES, fault, file_times
 from pipeline.series.run_folder import is_own, unlisted
@@ -83,7 +83,7 @@ def _resolved(path: Path) -> Path:
             return path / name
     found = sorted(file for file in path.iterdir() if file.suffix in (*_INDICES, *_TEMPORAL))
     if len(found) > 1:
-        raise SeriesError(f"{path}: holds several series, name one: {listed(file.name for file in found)}")
+        raise SeriesError(f"{path}: holds several series, name one: {join_names(file.name for file in found)}")
     return found[0] if found else path
 
 
@@ -111,7 +111,7 @@ def _indexed(index: Path, parse: Callable[[Path], list[Member]]) -> tuple[list[M
     except OSError as error:
         raise SeriesError(f"{index}: no series there ({error.strerror})") from error
     except (ET.ParseError, KeyError, ValueError, TypeError, AttributeError) as error:
-        raise SeriesError(f"{index}: not a ParaView index: {shortened(str(error), 200)}") from error
+        raise SeriesError(f"{index}: not a ParaView index: {shorten(str(error), 200)}") from error
     if not members:
         raise SeriesError(f"{index}: it lists no frame")
     return members, []
@@ -150,7 +150,7 @@ def _numbered(where: Path, found: Iterable[Path]) -> tuple[list[Member], list[st
     for file in files:
         stems[re.sub(r"\d+", "*", file.name)] += 1
     if len(stems) > 1:
-        found_here = listed(f"{stem} ({count})" for stem, count in stems.items())
+        found_here = join_names(f"{stem} ({count})" for stem, count in stems.items())
         raise SeriesError(f"{where}: holds several series, give a pattern: {found_here}")
     times = [file_times(file) if fault(file) is None else None for file in files]
     known = [one[0] for one in times if one]
@@ -177,5 +177,5 @@ def _whole(members: list[Member]) -> tuple[list[Member], list[str]]:
     if not any(faults.values()):  # as ever with thousands of frames
         return members, []
     when = {m: f" at t = {m.time:g} s" if m.time == m.time else "" for m in members}
-    texts = [f"{shortened(m.file.name)}{when[m]} {faults[m.file]}" for m in members if faults[m.file]]
+    texts = [f"{shorten(m.file.name)}{when[m]} {faults[m.file]}" for m in members if faults[m.file]]
     return [member for member in members if not faults[member.file]], texts

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import SeriesError, listed, shortened
+from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.run.measures import AXES, STEPS, VARIABLES, attributes, spatial
 from pipeline.series.frame_files import Grid
 from pipeline.series.series import Series, read_series
@@ -112,7 +112,7 @@ class Store:
         data = getattr(grid, f"{kind}_data")
         if name not in data:
             raise SeriesError(
-                f"{self.series.files[index]}: no {kind} field {shortened(name)}; it has {listed(sorted(data))}"
+                f"{self.series.files[index]}: no {kind} field {shorten(name)}; it has {join_names(sorted(data))}"
             )
         value: NDArray[Any] = data[name]
         if kind == "point":

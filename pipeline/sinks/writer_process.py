@@ -18,7 +18,7 @@ from dataclasses import replace
 from traceback import format_exception
 from typing import IO, Any
 
-from pipeline.errors import OutputError, shortened
+from pipeline.errors import OutputError, shorten
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame, Sink
 from pipeline.run.frames import OnFrame, Recording, RunSummary
@@ -206,7 +206,7 @@ class RemoteRecording:
         if not isinstance(error, EOFError):  # it would wait for who listens
             self._process.kill()
             self._process.wait()
-            return OutputError(f"the answers of the process that writes frames make no sense ({shortened(str(error))})")
+            return OutputError(f"the answers of the process that writes frames make no sense ({shorten(str(error))})")
         code = self._process.wait()
         remedy = "; out of memory?" if code == -9 else ""  # SIGKILL, as the system's last resort
         return OutputError(f"the process that writes frames ended by itself (exit code {code}{remedy})")

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from pipeline.errors import PipelineError, shown
+from pipeline.errors import PipelineError, quote_value
 from pipeline.formats.atomic import write_whole
 from pipeline.results.resume import folder_lock
 from pipeline.system.version import VERSION
@@ -106,7 +106,7 @@ def _check_keys(points: Sequence[Point]) -> None:
     for key in (point.key for point in points):
         if key in seen or not _FILE_SAFE.fullmatch(key):
             fault = "twice in one sweep" if key in seen else "cannot name a file; use letters, digits and . _ + -"
-            raise PipelineError(f"study point {shown(key)}: {fault}")
+            raise PipelineError(f"study point {quote_value(key)}: {fault}")
         seen.add(key)
 
 

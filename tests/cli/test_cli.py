@@ -13,7 +13,7 @@ import pytest
 from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.cli.terminal import Bars
-from pipeline.errors import SolveError, shortened
+from pipeline.errors import SolveError, shorten
 from pipeline.results.run_case import run_campaign
 from pipeline.stepping.backward_euler import BackwardEuler
 from tests.bodies import without_figures, write_case
@@ -112,9 +112,9 @@ def test_what_is_quoted_stays_short(tmp_path, capfd, name):
     ids=["many", "few", "last", "beyond", "million"],
 )
 def test_what_is_escaped_stays_short_too(text):
-    quoted = shortened(text)
+    quoted = shorten(text)
     assert quoted.isprintable() and len(quoted) == 60
-    assert len(shortened(text, 200)) <= 200
+    assert len(shorten(text, 200)) <= 200
 
 
 @pytest.mark.parametrize(

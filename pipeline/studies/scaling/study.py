@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.case import Case
-from pipeline.errors import CaseError, OutputError, shown
+from pipeline.errors import CaseError, OutputError, quote_value
 from pipeline.formats.atomic import whole_file, write_whole
 from pipeline.studies.scaling.peers import INSTALL, PEERS, available
 from pipeline.studies.scaling.step_cost import METHODS
@@ -69,7 +69,7 @@ def scaling(
     cannot be written. A point that fails is a row with its `error`.
     """
     if unknown := [name for name in methods if name not in (*METHODS, *PEERS)]:
-        raise CaseError(f"--method {shown(unknown[0])}: is not one of {', '.join((*METHODS, *PEERS))}")
+        raise CaseError(f"--method {quote_value(unknown[0])}: is not one of {', '.join((*METHODS, *PEERS))}")
     if missing := [name for name in methods if name in PEERS and name not in available()]:
         raise CaseError(f"--method {missing[0]}: is not installed: {INSTALL}")
     points: list[dict[str, Any]] = []

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.analysis.statistics import write_dataset
 from pipeline.case import Case
-from pipeline.errors import CaseError, shown
+from pipeline.errors import CaseError, quote_value
 from pipeline.formats.atomic import write_whole
 from pipeline.problem.build import build, build_mesh
 from pipeline.studies.stability.slices import METHODS, SLICES, Scene, trial_settings
@@ -94,7 +94,7 @@ def study_stability(
     """
     unknown = [name for name in slices if name not in SLICES]
     if unknown:
-        raise CaseError(f"slice {shown(unknown[0])} is not one of {', '.join(SLICES)}")
+        raise CaseError(f"slice {quote_value(unknown[0])} is not one of {', '.join(SLICES)}")
     if steps < 1:
         raise CaseError(f"steps: {steps} is not 1 or more")
     if not 0 < tolerance < 1:
