@@ -12,7 +12,7 @@ from pipeline.arrays import Floats
 from pipeline.run.measures import spatial
 from pipeline.series.series import Series
 
-# unit, dimensions after (method, time), and meaning
+# unit, dimensions after (variant, time), and meaning
 VARIABLES = {
     "displacement_difference": ("m", ("node", "axis"), "displacement"),
     "velocity_difference": ("m s-1", ("node", "axis"), "velocity"),
@@ -64,7 +64,7 @@ class Nodes:
 def write_apart(
     out: Any, series: Sequence[Series], times: Floats, on_time: Callable[[int, int], None] | None = None
 ) -> tuple[Apart, ...]:
-    """Add the differences of nodes to a netCDF4 dataset with (method, time, axis); return each one's but the first's.
+    """Add the differences of nodes to a netCDF4 dataset with (variant, time, axis); return each one's but the first's.
 
     All series have the cells of the first. Velocities are there where the first and one more have them, NaN for those
     that have none. `on_time(done, times)` is called after each time.
@@ -99,7 +99,7 @@ def _create(out: Any, names: list[str], first: Series) -> None:
     for name in names:
         unit, dims, meaning = VARIABLES[name]
         sizes = [1, 1, *(len(out.dimensions[dim]) for dim in dims)] if dims else None
-        variable = out.createVariable(name, "f8", ("method", "time", *dims), chunksizes=sizes)
+        variable = out.createVariable(name, "f8", ("variant", "time", *dims), chunksizes=sizes)
         ending = "less that" if dims else "from that"
         variable.setncatts({"units": unit, "long_name": f"{meaning}, {ending} of {first.name}"})
 

@@ -1,4 +1,4 @@
-"""Datasets of volume statistics: of one series, and of several variants joined along `method`."""
+"""Datasets of volume statistics: of one series, and of several variants joined along `variant`."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -67,7 +67,7 @@ def opened(path: Path) -> "Iterator[xarray.Dataset]":
 
 
 def joined(datasets: Mapping[str, "xarray.Dataset"], *, title: str) -> tuple["xarray.Dataset", list[str]]:
-    """Return the variants of one mesh joined along `method`, and a note for each that had to be left out.
+    """Return the variants of one mesh joined along `variant`, and a note for each that had to be left out.
 
     The times are those of the longest variant; one that stopped early is NaN after its last frame.
     """
@@ -86,7 +86,7 @@ def joined(datasets: Mapping[str, "xarray.Dataset"], *, title: str) -> tuple["xa
         else:
             kept[name] = dataset.assign_coords(time=reference["time"][:count]).reindex(time=reference["time"])
     rest = reference["rest_volume"]
-    methods = xarray.Variable("method", np.array(list(kept), dtype=object), {"long_name": "variant of the case"})
+    methods = xarray.Variable("variant", np.array(list(kept), dtype=object), {"long_name": "variant of the case"})
     out = xarray.concat(
         [dataset.drop_vars("rest_volume").drop_dims("step", errors="ignore") for dataset in kept.values()],
         dim=methods,

@@ -26,7 +26,7 @@ from pipeline.sinks.netcdf import ALONE, NetcdfSink
 if TYPE_CHECKING:
     import xarray
 
-OnFrame = Callable[[str, int, int], None]  # what is read, frames done, frames in all
+OnSeriesFrame = Callable[[str, int, int], None]  # what is read, frames done, frames in all
 OnDrawing = Callable[[int, int], None]
 
 _SAME_TIME = 1e-12  # relative: what separates i * dt computed with another dt
@@ -63,7 +63,7 @@ class Comparison:
 
 
 def analyze(
-    source: Path | str | Series, out: Path, *, movie: bool = False, on_frame: OnFrame | None = None,
+    source: Path | str | Series, out: Path, *, movie: bool = False, on_frame: OnSeriesFrame | None = None,
     on_drawing: OnDrawing | None = None,
 ) -> Analysis:  # fmt: skip
     """Write statistics.nc, volume.png and, if asked for, movie.mp4 and movie.png of a series into a folder.
@@ -91,11 +91,11 @@ def analyze(
 
 def compare(
     sources: Sequence[Path | str | Series], out: Path, *, movie: bool = False, difference: bool = False,
-    on_frame: OnFrame | None = None, on_drawing: OnDrawing | None = None,
+    on_frame: OnSeriesFrame | None = None, on_drawing: OnDrawing | None = None,
 ) -> Comparison:  # fmt: skip
     """Write comparison.nc, volume.png, and if asked for movie.mp4, of several series; each one's own in a subfolder.
 
-    The dataset joins them along `method`. Where their times differ, numbers are interpolated linearly to those of
+    The dataset joins them along `variant`. Where their times differ, numbers are interpolated linearly to those of
     the series with the fewest frames, within the time that all cover. Numbers a cell need the same cells in all;
     `difference` adds their difference to the first series, those of the nodes (displacement, velocity, distances) and
     distance.png, and raises SeriesError where the cells differ.
@@ -239,7 +239,7 @@ def _write_comparison(
                     out[f"{name}_difference"][m, k] = row[name] - first[name]
 
 
-def _write_apart(path: Path, series: list[Series], times: Floats, on_frame: OnFrame | None) -> tuple[Apart, ...]:
+def _write_apart(path: Path, series: list[Series], times: Floats, on_frame: OnSeriesFrame | None) -> tuple[Apart, ...]:
     """Add how far the nodes are apart to the dataset."""
     import netCDF4
 
@@ -256,7 +256,7 @@ def _create(
 ) -> None:
     """Create all dimensions, coordinates and variables; `rows` where the cells are the same in all series."""
     d = series[0].mesh.dimension
-    sizes = {"method": len(series), "time": len(times), "axis": 3, "quantile": len(QUANTILES)}
+    sizes = {"variant": len(series), "time": len(times), "axis": 3, "quantile": len(QUANTILES)}
     if rows:
         sizes["cell"] = len(series[0].mesh.cells)
     out.setncatts({"Conventions": "CF-1.11", "title": _title(series)})
@@ -264,23 +264,23 @@ def _create(
         out.createDimension(dim, size)
     labels = np.array([one.name for one in series], dtype=object)
     given = {"time": times, "quantile": np.array(QUANTILES), "axis": np.array(AXES, dtype=object)}
-    out.createVariable("method", str, ("method",)).setncatts({"long_name": "series"})
-    out["method"][:] = labels
+    out.createVariable("variant", str, ("variant",)).setncatts({"long_name": "series"})
+    out["variant"][:] = labels
     for name, values in given.items():
         out.createVariable(name, str if values.dtype == object else "f8", (name,)).setncatts(attributes(name, d))
         out[name][:] = values
     if rows:
         rest = np.stack([one.rest_volume for one in rows])
         one_rest = bool((rest == rest[0]).all())
-        variable = out.createVariable("rest_volume", "f8", ("cell",) if one_rest else ("method", "cell"))
+        variable = out.createVariable("rest_volume", "f8", ("cell",) if one_rest else ("variant", "cell"))
         variable.setncatts(attributes("rest_volume", d))
         out["rest_volume"][:] = rest[0] if one_rest else rest
     for name in names:
-        dims = ("method", "time", *VARIABLES[name].dims)
+        dims = ("variant", "time", *VARIABLES[name].dims)
         chunks = [1, 1, sizes["cell"]] if "cell" in dims else None
         out.createVariable(name, "f8", dims, chunksizes=chunks).setncatts(attributes(name, d))
     for name in _DIFFERENCES if difference else ():
-        variable = out.createVariable(f"{name}_difference", "f8", ("method", "time", "cell"),
+        variable = out.createVariable(f"{name}_difference", "f8", ("variant", "time", "cell"),
                                       chunksizes=[1, 1, sizes["cell"]])  # fmt: skip
         text = attributes(name, d)
         variable.setncatts({"units": text["units"], "long_name": f"{name}, less that of {labels[0]}"})
@@ -299,8 +299,8 @@ def _figure(path: Path, picture: Path, methods: list[str], title: str, notes: li
         if len(kept) < dataset.sizes["time"]:
             notes.append(f"{picture.name} shows {len(kept)} of {dataset.sizes['time']} frames, the worst among them")
         shown = dataset[["volume_ratio", "rest_volume"]].isel(time=kept)
-        if "method" not in dataset.dims:  # after the choice: this reads all that it is given
-            shown = shown.assign(volume_ratio=shown["volume_ratio"].expand_dims(method=methods))
+        if "variant" not in dataset.dims:  # after the choice: this reads all that it is given
+            shown = shown.assign(volume_ratio=shown["volume_ratio"].expand_dims(variant=methods))
         volume_figure(shown, picture, title=title)
     return picture
 
@@ -318,7 +318,7 @@ def _drawn(dataset: "xarray.Dataset") -> list[int]:
     """Return the frames that a figure shows."""
     count = dataset.sizes["time"]
     most = _DRAWN_POINTS if dataset.sizes["cell"] <= _LINES else _DRAWN_VALUES
-    most = max(2, most // (dataset.sizes["cell"] * dataset.sizes.get("method", 1)))
+    most = max(2, most // (dataset.sizes["cell"] * dataset.sizes.get("variant", 1)))
     if count <= most:
         return list(range(count))
     extremes = dataset["volume_ratio_quantile"].isel(quantile=[0, -1])

@@ -1,4 +1,4 @@
-"""ds.series: what a dataset of a moving body says of its cells."""
+"""ds.deformation: what a dataset of a moving body says of its cells."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,7 +26,7 @@ class Worst(NamedTuple):
     time: float
 
 
-class SeriesAccessor:
+class DeformationAccessor:
     """Measures of a dataset with rest_position, connectivity and displacement, a frame at a time."""
 
     def __init__(self, dataset: "xarray.Dataset") -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.errors import OutputError, SeriesError
 from pipeline.formats.atomic import write_whole
-from pipeline.series.accessor import SeriesAccessor
+from pipeline.series.accessor import DeformationAccessor
 from pipeline.series.xarray_plugin import ATTRIBUTES, STATIC
 from pipeline.sinks.fields import Fields
 from pipeline.sinks.vtu import pvd_text, static_parts, vtu_text
@@ -31,7 +31,7 @@ def dataset_to_pvd(dataset: "xarray.Dataset", path: Path | str) -> Path:
     cannot hold it; OutputError where it cannot write.
     """
     path = Path(path)
-    mesh = SeriesAccessor(dataset).mesh()
+    mesh = DeformationAccessor(dataset).mesh()
     strange = [str(name) for name, one in dataset.data_vars.items() if name not in STATIC and not _fits(one)]
     if strange:
         raise SeriesError(f"{path}: frames cannot hold {', '.join(strange)}; drop_vars them, or put time first")

@@ -38,7 +38,7 @@ class Options:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class SeriesLayout:
     """How frames become positions on one mesh.
 
     `nodes` (n,) are the points of the files that are nodes of the mesh, `chosen` (cells of the files,) marks the
@@ -109,7 +109,7 @@ def planar(points: Floats, where: str) -> Floats:
     return np.ascontiguousarray(points[:, :2])
 
 
-def understood(read: Callable[[int], Grid], count: int, options: Options, where: str) -> Layout:
+def understood(read: Callable[[int], Grid], count: int, options: Options, where: str) -> SeriesLayout:
     """Return how to read a series of `count` frames; raises SeriesError where that cannot be known."""
     first = read(0)
     dimension, chosen, notes = _measured_cells(first, where)
@@ -131,7 +131,7 @@ def understood(read: Callable[[int], Grid], count: int, options: Options, where:
     bare = Grid(first.points, first.count, first.types, first.offsets, first.connectivity, {}, {}, {})
     mask = None if chosen.all() else chosen
     guessed = displacement is not None and options.displacement is None
-    return Layout(mesh, nodes, mask, displacement, bare, (*notes, *said, *told, *mirrored), guessed)
+    return SeriesLayout(mesh, nodes, mask, displacement, bare, (*notes, *said, *told, *mirrored), guessed)
 
 
 def _measured_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], list[str]]:

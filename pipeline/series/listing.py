@@ -28,7 +28,7 @@ class Member(NamedTuple):
     step: int = 0
 
 
-class Listing(NamedTuple):
+class FrameListing(NamedTuple):
     """The instants that can be read, in the order of time, and what had to be said about the others."""
 
     name: str
@@ -38,7 +38,7 @@ class Listing(NamedTuple):
     ours: bool = False
 
 
-def listing(path: Path, *, strict: bool) -> Listing:
+def listing(path: Path, *, strict: bool) -> FrameListing:
     """Return what a path names; raises SeriesError where that is nothing, and with `strict` for any missing frame."""
     index = _resolved(path)
     members, notes = _members(index)
@@ -61,7 +61,7 @@ def listing(path: Path, *, strict: bool) -> Listing:
     if bad:
         raise SeriesError(f"{index}: the time {bad[0]} is not a number")
     name, folder = _name(index)
-    return Listing(name, folder, tuple(last.values()), tuple(notes), ours)
+    return FrameListing(name, folder, tuple(last.values()), tuple(notes), ours)
 
 
 def _name(index: Path) -> tuple[str, Path]:

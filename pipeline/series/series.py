@@ -12,7 +12,7 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
 from pipeline.series.frame_files import Grid, read_grid
-from pipeline.series.layout import Layout, Options, understood
+from pipeline.series.layout import Options, SeriesLayout, understood
 from pipeline.series.listing import listing
 
 _AS_FOUND = Options()
@@ -79,7 +79,7 @@ class Series:
         return np.ascontiguousarray(v[:, :d], dtype=np.float64)
 
     @cached_property
-    def layout(self) -> Layout:
+    def layout(self) -> SeriesLayout:
         """Return how the files are understood; reads the first frame, and two more where it is not clear from that."""
         return understood(self.grid, len(self), self.options, str(self.files[0]))
 

@@ -1,7 +1,7 @@
 """xarray's engine for series: `xarray.open_dataset("series.pvd")`, a frame read when its numbers are asked for.
 
 The class is made when it is first asked for (`SeriesBackend`): its base is xarray's, and `import pipeline` does not
-cost xarray. Making it also gives every dataset the accessor `series`.
+cost xarray. Making it also gives every dataset the accessor `deformation`.
 """
 
 import json
@@ -48,7 +48,7 @@ def _backend() -> type:
     import xarray
     from xarray.backends import BackendEntrypoint
 
-    from pipeline.series.accessor import SeriesAccessor
+    from pipeline.series.accessor import DeformationAccessor
 
     class SeriesBackend(BackendEntrypoint):
         """Opens deformable bodies that move: .pvd, .vtu.series, numbered files, temporal .vtkhdf, .xdmf."""
@@ -69,7 +69,7 @@ def _backend() -> type:
             return lazy_dataset(series).drop_vars(dropped, errors="ignore")
 
     register: Any = xarray.register_dataset_accessor  # without types
-    register("series")(SeriesAccessor)
+    register("deformation")(DeformationAccessor)
     return SeriesBackend
 
 

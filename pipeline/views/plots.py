@@ -29,16 +29,16 @@ STYLE: dict[Any, Any] = {
 def volume_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
     """Write the volume ratio of every cell over time, a panel a variant, the worst cell marked.
 
-    Takes volume_ratio (method, time, cell) and rest_volume (cell). Above 2000 cells bands of quantiles
+    Takes volume_ratio (variant, time, cell) and rest_volume (cell). Above 2000 cells bands of quantiles
     stand for the lines. NaN, as after a failure, is left out. Raises OutputError where it cannot write.
     """
     from matplotlib import rc_context
 
     with rc_context(STYLE):
-        methods = [str(name) for name in dataset["method"].values]
+        methods = [str(name) for name in dataset["variant"].values]
         figure, panels = _panels(len(methods), title)
         time = dataset["time"].values
-        ratio = dataset["volume_ratio"].transpose("method", "time", "cell").values
+        ratio = dataset["volume_ratio"].transpose("variant", "time", "cell").values
         for axes, name, values in zip(panels, methods, ratio, strict=True):
             axes.set_title(name, loc="left", fontsize=11, color=BLACK)
             _draw_ratios(axes, time, values)
@@ -65,14 +65,14 @@ def energy_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
     if not present:
         raise OutputError(f"{path}: no energies to draw: the dataset has none of {', '.join(ENERGIES)}_energy")
     with rc_context(STYLE):
-        methods = [str(name) for name in dataset["method"].values]
+        methods = [str(name) for name in dataset["variant"].values]
         figure, panels = _panels(len(methods), title)
         time = dataset["time"].values
         scale, prefix = _prefix(max(float(np.nan_to_num(np.abs(dataset[f"{n}_energy"].values)).max()) for n in present))
         for i, (axes, method) in enumerate(zip(panels, methods, strict=True)):
             axes.set_title(method, loc="left", fontsize=11, color=BLACK)
             axes.axhline(0, color="#b0b5bf", linewidth=0.8)
-            parts = {n: dataset[f"{n}_energy"].transpose("method", "time").values[i] / scale for n in present}
+            parts = {n: dataset[f"{n}_energy"].transpose("variant", "time").values[i] / scale for n in present}
             for name, values in parts.items():
                 colour, dashes = ENERGIES[name]
                 axes.plot(time, values, dashes, color=colour, linewidth=1.5, label=name)
@@ -89,18 +89,18 @@ def energy_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
 def distance_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
     """Write how far the nodes of each series are from those of the first over time, a panel each.
 
-    Takes node_distance_worst and node_distance_rms (method, time). Raises OutputError where it cannot write.
+    Takes node_distance_worst and node_distance_rms (variant, time). Raises OutputError where it cannot write.
     """
     from matplotlib import rc_context
 
     with rc_context(STYLE):
-        names, time = [str(name) for name in dataset["method"].values], dataset["time"].values
+        names, time = [str(name) for name in dataset["variant"].values], dataset["time"].values
         figure, panels = _panels(len(names) - 1, title)
         lines = (("worst node", "node_distance_worst", VERMILION, "-"), ("RMS of all", "node_distance_rms", BLUE, "--"))
         for i, (axes, name) in enumerate(zip(panels, names[1:], strict=True), start=1):
             axes.set_title(f"{name}, from {names[0]}", loc="left", fontsize=11, color=BLACK)
             for label, variable, colour, dashes in lines:
-                values = dataset[variable].transpose("method", "time").values[i]
+                values = dataset[variable].transpose("variant", "time").values[i]
                 axes.plot(time, values, dashes, color=colour, linewidth=1.5, label=label)
         panels[0].set_xlim(*_time_limits(time))
         panels[0].set_ylim(bottom=0)

@@ -343,39 +343,39 @@ def test_any_part_of_a_field(tmp_path):
 def test_points_of_the_body_are_probed(tmp_path):
     dataset = opened(fields(tmp_path))
     points = np.array([[0.3, 1.2, 0.7], [2, 2, 2], [0, 0, 0], [1.99, 0.01, 1.5]])
-    found = dataset.series.probe("displacement", points)
+    found = dataset.deformation.probe("displacement", points)
     assert found.dims == ("time", "point", "axis") and found.attrs == dataset["displacement"].attrs
     assert found.values == pytest.approx(np.stack([points * 0.5 * t for t in TIMES]), abs=1e-13)
-    outside = dataset.series.probe("displacement", [[0.3, 1.2, 0.7], [0, 0, 2.01]])
+    outside = dataset.deformation.probe("displacement", [[0.3, 1.2, 0.7], [0, 0, 2.01]])
     assert np.isnan(outside.values[:, 1]).all() and np.isfinite(outside.values[:, 0]).all()
     centres = POINTS[CELLS].mean(axis=1)
-    ratio = dataset.series.volume_ratio()
-    xarray.testing.assert_equal(dataset.series.probe(ratio, centres), ratio.rename(cell="point"))
-    assert np.isnan(dataset.series.probe(ratio, [9, 9, 9]).values).all()
-    assert dataset.series.probe(ratio[0], centres[3]).dims == ("point",)
+    ratio = dataset.deformation.volume_ratio()
+    xarray.testing.assert_equal(dataset.deformation.probe(ratio, centres), ratio.rename(cell="point"))
+    assert np.isnan(dataset.deformation.probe(ratio, [9, 9, 9]).values).all()
+    assert dataset.deformation.probe(ratio[0], centres[3]).dims == ("point",)
     with pytest.raises(SeriesError, match="neither nodes nor cells"):
-        dataset.series.probe(ratio.mean("cell"), centres)
+        dataset.deformation.probe(ratio.mean("cell"), centres)
     with pytest.raises(SeriesError, match=r"\(p, 3\), not \(1, 2\)"):
-        dataset.series.probe("displacement", [1, 2])
+        dataset.deformation.probe("displacement", [1, 2])
 
 
 def test_probing_chunks_of_dask(tmp_path):
     pytest.importorskip("dask")
     points = [[0.3, 1.2, 0.7]]
-    lazy = opened(fields(tmp_path), chunks={}).series.probe("displacement", points)
+    lazy = opened(fields(tmp_path), chunks={}).deformation.probe("displacement", points)
     assert lazy.chunks is not None
-    assert lazy.values == pytest.approx(opened(fields(tmp_path)).series.probe("displacement", points).values)
+    assert lazy.values == pytest.approx(opened(fields(tmp_path)).deformation.probe("displacement", points).values)
 
 
 def test_cells_are_extracted_with_their_nodes(tmp_path):
     dataset = opened(fields(tmp_path))
     chosen = [7, 2]
-    part = dataset.series.extract(chosen)
+    part = dataset.deformation.extract(chosen)
     assert part.sizes["cell"] == 2 and part.sizes["node"] == len(np.unique(CELLS[chosen]))
-    xarray.testing.assert_equal(part.series.volume_ratio(), dataset.series.volume_ratio().isel(cell=chosen))
+    xarray.testing.assert_equal(part.deformation.volume_ratio(), dataset.deformation.volume_ratio().isel(cell=chosen))
     mask = np.isin(np.arange(len(CELLS)), chosen)
-    assert dataset.series.extract(mask)["connectivity"].attrs == dataset["connectivity"].attrs
-    xarray.testing.assert_identical(opened(part.series.to_pvd(tmp_path / "part.pvd")), part)
+    assert dataset.deformation.extract(mask)["connectivity"].attrs == dataset["connectivity"].attrs
+    xarray.testing.assert_identical(opened(part.deformation.to_pvd(tmp_path / "part.pvd")), part)
 
 
 def test_a_series_that_is_not_inline_is_a_dataset_too(tmp_path):

@@ -91,15 +91,13 @@ def test_series_side_by_side(tmp_path):
     assert [path.name for path in result.made] == ["comparison.nc", "volume.png", "distance.png"]
     with xarray.open_dataset(result.made[0]) as dataset:
         assert_conventional(dataset)
-        assert dataset["method"].values.tolist() == ["a", "a_2"]
-        assert dataset["volume_ratio"].dims == ("method", "time", "cell")
+        assert dataset["variant"].values.tolist() == ["a", "a_2"]
+        assert dataset["volume_ratio"].dims == ("variant", "time", "cell")
         for name, one in (("a", a), ("a_2", b)):
             own = series_statistics(one)
             for variable in own.data_vars:
                 mine = (
-                    dataset[variable].sel({"method": name}, drop=True)
-                    if variable != "rest_volume"
-                    else dataset[variable]
+                    dataset[variable].sel(variant=name, drop=True) if variable != "rest_volume" else dataset[variable]
                 )
                 xarray.testing.assert_equal(mine, own[variable])
         expected = (1 + GROWTH * 2 * TIMES[2]) ** 3 - (1 + GROWTH * TIMES[2]) ** 3
@@ -129,7 +127,7 @@ def test_differences_of_the_nodes(tmp_path):
     with xarray.open_dataset(result.made[0]) as dataset:
         assert_conventional(dataset)
         apart = dataset["displacement_difference"]
-        assert apart.dims == ("method", "time", "node", "axis") and apart.attrs["units"] == "m"
+        assert apart.dims == ("variant", "time", "node", "axis") and apart.attrs["units"] == "m"
         assert (apart[0] == 0).all()
         assert apart[1, 1].values == pytest.approx(GROWTH * (0.45 - 0.1) * POINTS)
         assert apart[2].values == pytest.approx(np.stack([GROWTH * t * POINTS for t in TIMES]), abs=1e-14)
@@ -170,8 +168,8 @@ def test_other_times_are_interpolated_and_that_is_said(tmp_path, monkeypatch):
     with xarray.open_dataset(result.made[0]) as dataset:
         assert dataset["time"].values.tolist() == [0.0, 1.0, 2.0]
         between = ((1 + GROWTH * 0.5) ** 3 + (1 + GROWTH * 1.5) ** 3) / 2
-        assert dataset["volume_ratio"].sel({"method": "b", "time": 1.0}).values == pytest.approx(between)
-        assert dataset["volume_ratio_quantile"].sel({"method": "b", "time": 1.0}).values == pytest.approx(between)
+        assert dataset["volume_ratio"].sel(variant="b", time=1.0).values == pytest.approx(between)
+        assert dataset["volume_ratio_quantile"].sel(variant="b", time=1.0).values == pytest.approx(between)
     late = series_at(tmp_path / "late", [7.0, 8.0], "late")
     with pytest.raises(SeriesError, match="late 7 to 8 s"):
         compare([a, late], tmp_path / "out2")

@@ -206,7 +206,7 @@ def test_an_interrupted_run_is_not_overwritten_and_not_compared(tmp_path, monkey
     assert "\n" not in str(caught.value)
     solve(path, tmp_path / "out", variants=["other"])
     with xarray.open_dataset(tmp_path / "out" / "beam" / "comparison.nc") as joined:
-        assert joined["method"].values.tolist() == ["other"]
+        assert joined["variant"].values.tolist() == ["other"]
     forced = solve(path, tmp_path / "out", force=True)
     assert "resumed_after_steps" not in forced.variants[0].run
 

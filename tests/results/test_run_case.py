@@ -125,11 +125,11 @@ def test_the_same_case_twice_gives_the_same_bytes(done, tmp_path):
 
 def test_the_comparison_joins_the_statistics_of_all_variants(done):
     with xarray.open_dataset(done.folder / "comparison.nc") as joined:
-        assert joined["method"].values.tolist() == VARIANTS
-        assert joined["volume_ratio"].dims == ("method", "time", "cell") and joined["rest_volume"].dims == ("cell",)
+        assert joined["variant"].values.tolist() == VARIANTS
+        assert joined["volume_ratio"].dims == ("variant", "time", "cell") and joined["rest_volume"].dims == ("cell",)
         for name in VARIANTS:
             with xarray.open_dataset(done.folder / name / "statistics.nc") as one:
-                xarray.testing.assert_equal(joined.sel({"method": name}).drop_vars("method"), one)
+                xarray.testing.assert_equal(joined.sel(variant=name).drop_vars("variant"), one)
 
 
 def test_the_comparison_follows_the_conventions(done):
@@ -244,18 +244,18 @@ def test_solving_one_variant_keeps_the_others(out):
     result = solve(out, variants=["polar"], force=True)
     assert statuses(result) == {"polar": "finished"}
     assert contents(out / "beam" / "linear") == before
-    assert compared(out)["method"].values.tolist() == VARIANTS
+    assert compared(out)["variant"].values.tolist() == VARIANTS
 
 
 def test_variants_solved_one_by_one_are_compared_in_the_order_of_the_case(tmp_path):
     for name, wanted in (("polar", ["polar"]), ("linear", ["linear", "polar"])):
         solve(tmp_path / "outputs", variants=[name])
-        assert compared(tmp_path / "outputs")["method"].values.tolist() == wanted
+        assert compared(tmp_path / "outputs")["variant"].values.tolist() == wanted
 
 
 def test_a_variant_of_another_case_stays_out_of_the_comparison(out):
     solve(out, overrides={"schedule.dt": 0.01}, variants=["polar"], force=True)
-    assert compared(out)["method"].values.tolist() == ["polar"]
+    assert compared(out)["variant"].values.tolist() == ["polar"]
 
 
 @pytest.mark.parametrize("text", ["", "{", "null", "[1]", "3"])
@@ -300,7 +300,7 @@ def test_a_variant_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeyp
     assert run["message"].startswith("it broke (at step 3, t = 0.06 s); after step 2 0 of 18 cells are inverted")
     assert run["last_frame"] == {"index": 2, "step": 2, "time": 0.04}
     joined = compared(tmp_path / "outputs")
-    assert joined["method"].values.tolist() == VARIANTS and joined.sizes["time"] == 5
+    assert joined["variant"].values.tolist() == VARIANTS and joined.sizes["time"] == 5
     finite = np.isfinite(joined["volume_ratio"].values).all(axis=2)
     assert finite.tolist() == [[True] * 3 + [False] * 2, [True] * 5, [True] * 5]
     assert joined["time"].values.tolist() == [i * 0.02 for i in range(5)]
@@ -389,7 +389,7 @@ def test_an_output_folder_that_is_a_file_is_an_output_error(tmp_path):
 def test_variants_of_the_same_frame_times_are_joined_whatever_their_dt(tmp_path):
     variants = {"coarse": {}, "fine": {"schedule.dt": 0.005, "schedule.steps_per_frame": 4}}
     result = solve(tmp_path / "outputs", sections={"variants": variants})
-    assert compared(tmp_path / "outputs")["method"].values.tolist() == ["coarse", "fine"] and not result.notes
+    assert compared(tmp_path / "outputs")["variant"].values.tolist() == ["coarse", "fine"] and not result.notes
     assert compared(tmp_path / "outputs")["newton_iterations"].values[:, 1].tolist() == [1.0, 4.0]
 
 
@@ -406,7 +406,7 @@ def test_variants_that_cannot_be_joined_are_left_out_with_a_note(tmp_path, own, 
     result = solve(tmp_path / "outputs", sections={"variants": {"first": {}, "other": own}})
     assert set(statuses(result).values()) == SOLVED
     assert [note for note in result.notes if note.startswith(words)]
-    assert compared(tmp_path / "outputs")["method"].values.tolist() == ["first"]
+    assert compared(tmp_path / "outputs")["variant"].values.tolist() == ["first"]
 
 
 def test_a_result_folder_can_be_moved(out, tmp_path):

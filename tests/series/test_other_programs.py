@@ -45,7 +45,7 @@ def test_felupe_s_own_deformation_gradients_say_what_we_measure(tmp_path, monkey
         assert measure(frame)["volume_ratio"] == pytest.approx(np.linalg.det(F), rel=1e-12)
     assert np.ptp(measure(frame)["volume_ratio"]) > 0.1
     dataset = xarray.open_dataset(tmp_path / "result.xdmf", engine=engine.SeriesBackend)
-    assert dataset.series.worst().time == dataset["time"].values[-1]
+    assert dataset.deformation.worst().time == dataset["time"].values[-1]
 
 
 def test_fields_of_cells_that_are_no_numbers_pass_through_and_disturb_nothing(tmp_path):

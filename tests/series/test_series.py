@@ -454,25 +454,25 @@ def test_xdmf_with_hdf5(tmp_path, monkeypatch):
 
 def test_the_accessor_measures(tmp_path):
     dataset = opened(fields(tmp_path))
-    ratio = dataset.series.volume_ratio()
+    ratio = dataset.deformation.volume_ratio()
     assert ratio.dims == ("time", "cell") and ratio.attrs["units"] == "1"
     for i, frame in enumerate(read_series(tmp_path / "their.pvd")):
         measured = measure(frame)
         assert ratio[i].values == pytest.approx(measured["volume_ratio"], rel=1e-13)
-        assert dataset.series.rotation_angle()[i].values == pytest.approx(measured["rotation_angle"], abs=1e-5)
-    worst = dataset.series.worst()
+        assert dataset.deformation.rotation_angle()[i].values == pytest.approx(measured["rotation_angle"], abs=1e-5)
+    worst = dataset.deformation.worst()
     assert worst.volume_ratio == pytest.approx((1 + GROWTH * TIMES[-1]) ** 3) and worst.time == TIMES[-1]
-    grid = dataset.series.to_pyvista(0.11)
+    grid = dataset.deformation.to_pyvista(0.11)
     assert np.asarray(grid.points) == pytest.approx(moved(0.1))
     assert grid.cell_data["part"].dtype == np.int32
     with pytest.raises(SeriesError, match="no connectivity"):
-        dataset.drop_vars("connectivity").series.worst()
+        dataset.drop_vars("connectivity").deformation.worst()
 
 
 def test_a_dataset_written_and_read_is_the_same(tmp_path):
     dataset = opened(fields(tmp_path))
     dataset["temperature"].attrs["units"] = "K"
-    dataset["volume_ratio"] = dataset.series.volume_ratio()
+    dataset["volume_ratio"] = dataset.deformation.volume_ratio()
     dataset.attrs["history"] = "told"
     path = dataset_to_pvd(dataset, tmp_path / "again.pvd")
     again = opened(path)
@@ -490,13 +490,13 @@ def test_a_planar_dataset_too(tmp_path):
     for i, t in enumerate(TIMES):
         meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(points * [1 + t, 1, 1], [("triangle", cells)]))
     dataset = opened(str(tmp_path / "f0.vtu").replace("f0", "f*"))
-    assert dataset.series.volume_ratio().values[1] == pytest.approx([1.1, 1.1])
+    assert dataset.deformation.volume_ratio().values[1] == pytest.approx([1.1, 1.1])
     xarray.testing.assert_identical(opened(dataset_to_pvd(dataset, tmp_path / "a" / "p.pvd")), dataset)
 
 
 def test_xarray_finds_the_engine_by_itself(tmp_path, installed):
     path = fields(tmp_path)
-    code = f"import xarray; ds = xarray.open_dataset({str(path)!r}); print(ds.series.worst().time)"
+    code = f"import xarray; ds = xarray.open_dataset({str(path)!r}); print(ds.deformation.worst().time)"
     run = subprocess.run([sys.executable, "-c", code], env=installed, capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["0.25"]
 

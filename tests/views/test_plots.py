@@ -13,13 +13,13 @@ def dataset(cells=40, methods=("linear", "polar"), times=30) -> xarray.Dataset:
     strength = np.linspace(0, 0.4, cells)
     ratio = np.stack([1 + (m + 1) * np.sin(t)[:, None] * strength for m in range(len(methods))])
     data = {
-        "volume_ratio": (("method", "time", "cell"), ratio),
+        "volume_ratio": (("variant", "time", "cell"), ratio),
         "rest_volume": ("cell", np.full(cells, 0.5), {"units": "m3"}),
     }
     for k, name in enumerate(("kinetic", "elastic", "potential")):
         wave = np.stack([1e5 * np.cos(t * (k + 1)) ** 2 for _ in methods])
-        data[f"{name}_energy"] = (("method", "time"), wave, {"units": "J"})
-    return xarray.Dataset(data, coords={"method": list(methods), "time": ("time", t, {"units": "s"})})
+        data[f"{name}_energy"] = (("variant", "time"), wave, {"units": "J"})
+    return xarray.Dataset(data, coords={"variant": list(methods), "time": ("time", t, {"units": "s"})})
 
 
 def pixels(path) -> np.ndarray:
@@ -106,12 +106,12 @@ def test_distance_figure_has_a_panel_for_each_but_the_first(tmp_path):
     t = np.linspace(0, 3, 30)
     distance = np.stack([0 * t, t, 1 - np.cos(t)])
     data = {
-        "node_distance_worst": (("method", "time"), distance),
-        "node_distance_rms": (("method", "time"), distance / 2),
+        "node_distance_worst": (("variant", "time"), distance),
+        "node_distance_rms": (("variant", "time"), distance / 2),
     }
-    apart = xarray.Dataset(data, coords={"method": ["a", "b", "c"], "time": t})
+    apart = xarray.Dataset(data, coords={"variant": ["a", "b", "c"], "time": t})
     distance_figure(apart, tmp_path / "three.png", title="a, b and c")
-    distance_figure(apart.isel(method=[0, 1]), tmp_path / "two.png", title="a and b")
+    distance_figure(apart.isel(variant=[0, 1]), tmp_path / "two.png", title="a and b")
     three, two = pixels(tmp_path / "three.png"), pixels(tmp_path / "two.png")
     assert three.shape[1] > two.shape[1]
     assert coloured(three, warm=True) > coloured(two, warm=True) > 300 and coloured(two, warm=False) > 300
