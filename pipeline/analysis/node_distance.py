@@ -21,7 +21,7 @@ VARIABLES = {
 }
 
 
-class Apart(NamedTuple):
+class NodeDistance(NamedTuple):
     """A series beside the first one: the largest distance of a node, where and when, and the largest RMS distance."""
 
     name: str
@@ -55,15 +55,15 @@ class Nodes:
         kept = {i: self._kept[i] for i in needed if i in self._kept}
         for i in needed:
             if i not in kept:
-                frame = self.series.frame(i)
+                frame = self.series.read_frame(i)
                 kept[i] = frame.x, frame.v
         self._kept = kept
         return [kept[i] for i in needed]
 
 
-def write_apart(
+def write_node_distances(
     out: Any, series: Sequence[Series], times: Floats, on_time: Callable[[int, int], None] | None = None
-) -> tuple[Apart, ...]:
+) -> tuple[NodeDistance, ...]:
     """Add the differences of nodes to a netCDF4 dataset with (variant, time, axis); return each one's but the first's.
 
     All series have the cells of the first. Velocities are there where the first and one more have them, NaN for those
@@ -73,7 +73,7 @@ def write_apart(
     moving = [one.at(float(times[0]))[1] is not None for one in nodes]
     names = [name for name in VARIABLES if name != "velocity_difference" or (moving[0] and any(moving[1:]))]
     _create(out, names, first)
-    found: dict[str, Apart] = {}
+    found: dict[str, NodeDistance] = {}
     for k, time in enumerate(times.tolist()):
         states = [one.at(time) for one in nodes]
         x0, v0 = states[0]
@@ -86,7 +86,7 @@ def write_apart(
             row["velocity_difference"] = np.nan if v is None or v0 is None else spatial(v - v0)
             for name in names:
                 out[name][m, k] = row[name]
-            now = Apart(one.name, float(distance[worst]), one.layout.node(worst), time, rms, time)
+            now = NodeDistance(one.name, float(distance[worst]), one.layout.node(worst), time, rms, time)
             found[one.name] = _larger(found.get(one.name, now), now)
         if on_time is not None:
             on_time(k + 1, len(times))
@@ -104,7 +104,7 @@ def _create(out: Any, names: list[str], first: Series) -> None:
         variable.setncatts({"units": unit, "long_name": f"{meaning}, {ending} of {first.name}"})
 
 
-def _larger(before: Apart, now: Apart) -> Apart:
+def _larger(before: NodeDistance, now: NodeDistance) -> NodeDistance:
     """Return the larger of two, worst and RMS each for itself."""
     worst, rms = max(now, before, key=lambda one: one.worst), max(now, before, key=lambda one: one.rms)
     return worst._replace(rms=rms.rms, rms_time=rms.rms_time)

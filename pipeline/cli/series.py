@@ -71,7 +71,7 @@ def _compare(options: argparse.Namespace) -> int:
         say(f"note: {note}")
     if not options.quiet:
         print(*found.made, sep="\n")
-        for one in found.apart:
+        for one in found.node_distances:
             worst = f"{one.worst:.4g} m (node {one.node}, t = {one.time:.4g} s)"
             print(f"{one.name}: nodes up to {worst} from {found.analyses[0].name}; RMS up to {one.rms:.4g} m")
     _report(options, found, series, ["compare", *options.series])

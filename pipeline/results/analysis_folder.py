@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.analysis.node_distance import Apart, write_apart
+from pipeline.analysis.node_distance import NodeDistance, write_node_distances
 from pipeline.analysis.statistics import opened
 from pipeline.arrays import Floats
 from pipeline.errors import SeriesError
@@ -59,7 +59,7 @@ class Comparison:
     made: tuple[Path, ...]
     notes: tuple[str, ...]
     analyses: tuple[Analysis, ...]
-    apart: tuple[Apart, ...] = ()  # the nodes of each but the first, where differences were asked for
+    node_distances: tuple[NodeDistance, ...] = ()  # the nodes of each but the first, where differences were asked for
 
 
 def analyze(
@@ -239,7 +239,9 @@ def _write_comparison(
                     out[f"{name}_difference"][m, k] = row[name] - first[name]
 
 
-def _write_apart(path: Path, series: list[Series], times: Floats, on_frame: OnSeriesFrame | None) -> tuple[Apart, ...]:
+def _write_apart(
+    path: Path, series: list[Series], times: Floats, on_frame: OnSeriesFrame | None
+) -> tuple[NodeDistance, ...]:
     """Add how far the nodes are apart to the dataset."""
     import netCDF4
 
@@ -248,7 +250,7 @@ def _write_apart(path: Path, series: list[Series], times: Floats, on_frame: OnSe
             on_frame("difference of nodes", done, count)
 
     with ALONE, netCDF4.Dataset(path, "a") as out:
-        return write_apart(out, series, times, told)
+        return write_node_distances(out, series, times, told)
 
 
 def _create(
@@ -337,7 +339,7 @@ def _movie(
         kept = np.unique(np.linspace(0, len(one) - 1, min(len(one), _DRAWN_FRAMES)).round().astype(int)).tolist()
         if len(kept) < len(one):
             notes.append(f"{path.name} shows {len(kept)} of the {len(one)} frames of {one.name}")
-        shown.append(one.chosen(kept))
+        shown.append(one.select_frames(kept))
     span = max(one.times[-1] for one in shown) - min(one.times[0] for one in shown)
     poster = path.with_suffix(".png")
     write_movie(

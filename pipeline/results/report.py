@@ -93,12 +93,12 @@ def report_of_analysis(found: Analysis | Comparison, series: Sequence[Series], c
 
 def _apart(found: Comparison) -> list[Block]:
     """Return how far the nodes are from those of the first series, where that was asked for."""
-    if not found.apart:
+    if not found.node_distances:
         return []
     head = ("series", "worst node [m]", "which", "at t [s]", "largest RMS [m]", "at t [s]")
     rows = [
         (one.name, f"{one.worst:.4g}", str(one.node), f"{one.time:.4g}", f"{one.rms:.4g}", f"{one.rms_time:.4g}")
-        for one in found.apart
+        for one in found.node_distances
     ]
     text = f"How far the nodes are from those of {found.analyses[0].name}; distance.png has it over time."
     return [Heading("Difference of nodes"), Paragraph(text), Table(head, rows)]

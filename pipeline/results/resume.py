@@ -200,8 +200,8 @@ def _remake_statistics(folder: Path, problem: Problem, output: OutputSpec, count
         sink = NetcdfSink(stack.enter_context(whole_file(path)), title=title)
         stack.callback(sink.close)
         for index in range(count):
-            grid = series.grid(index)
-            read = replace(series.frame(index, grid), mesh=problem.body.mesh)
+            grid = series.read_grid(index)
+            read = replace(series.read_frame(index, grid), mesh=problem.body.mesh)
             if read.step != index * problem.steps_per_frame:
                 raise SeriesError(f"{files[index]}: frame {index} is not there")
             sink.write(read, measure(read) if old is None else {**read.known, **_cell_rows(old, grid, index)})

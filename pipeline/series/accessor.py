@@ -55,7 +55,7 @@ class DeformationAccessor:
     def to_pyvista(self, time: float) -> Any:
         """Return the frame nearest to a time [s] as a grid of deformed points with all its fields."""
         frame = self._dataset.sel(time=time, method="nearest")
-        return pyvista_grid(frame)
+        return make_pyvista_grid(frame)
 
     def probe(self, field: "str | xarray.DataArray", points: Any) -> "xarray.DataArray":
         """Return a field at points (p, d) of the body at rest, which move with it (time, point[, axis]).
@@ -66,7 +66,7 @@ class DeformationAccessor:
         import xarray
 
         values = self._dataset[field] if isinstance(field, str) else field
-        cells, weights = located(self.mesh(), np.atleast_2d(np.asarray(points, dtype=np.float64)))
+        cells, weights = locate_points(self.mesh(), np.atleast_2d(np.asarray(points, dtype=np.float64)))
         if "node" in values.dims:
             nodes, places = np.unique(self._dataset["connectivity"].values[cells], return_inverse=True)
             taken = values.isel(node=nodes)
@@ -97,11 +97,11 @@ class DeformationAccessor:
     def to_pvd(self, path: Path | str) -> Path:
         """Write the dataset as NAME.pvd with a folder NAME of .vtu files; return the index.
 
-        The frames are not synced: a loss of power soon afterwards may cost some. See dataset_to_pvd.
+        The frames are not synced: a loss of power soon afterwards may cost some. See write_pvd_series.
         """
-        from pipeline.series.dataset_writer import dataset_to_pvd  # it needs this module
+        from pipeline.series.dataset_writer import write_pvd_series  # it needs this module
 
-        return dataset_to_pvd(self._dataset, path)
+        return write_pvd_series(self._dataset, path)
 
     def mesh(self) -> Mesh:
         """Return the rest mesh; raises SeriesError where the dataset has none."""
@@ -131,7 +131,7 @@ class DeformationAccessor:
         return xarray.DataArray(np.stack(rows), time, ("time", "cell"), name, attributes(name, d))
 
 
-def located(mesh: Mesh, points: Floats) -> tuple[Ints, Floats]:
+def locate_points(mesh: Mesh, points: Floats) -> tuple[Ints, Floats]:
     """Return the cell (p,) around each rest point (p, d), and the shares of its corners (p, d + 1), NaN outside."""
     if points.ndim != 2 or points.shape[1] < mesh.dimension:
         raise SeriesError(f"points to probe are (p, {mesh.dimension}), not {points.shape}")
@@ -151,7 +151,7 @@ def located(mesh: Mesh, points: Floats) -> tuple[Ints, Floats]:
     return cells, weights
 
 
-def pyvista_grid(frame: "xarray.Dataset") -> Any:
+def make_pyvista_grid(frame: "xarray.Dataset") -> Any:
     """Return one frame as an unstructured grid: points DEFORMED, as our own files have them."""
     import pyvista
 

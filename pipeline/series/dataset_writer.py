@@ -23,7 +23,7 @@ _WHOLE = (("node",), ("cell",))
 _BLOCK_BYTES = 1 << 22  # 4 MB: a hundred frames of a few hundred cells, one of a large mesh
 
 
-def dataset_to_pvd(dataset: "xarray.Dataset", path: Path | str) -> Path:
+def write_pvd_series(dataset: "xarray.Dataset", path: Path | str) -> Path:
     """Write a dataset as NAME.pvd with a folder NAME of .vtu files, a frame at a time; return the index.
 
     The frames are not synced: after a loss of power soon afterwards some may be empty or partial; write them anew.

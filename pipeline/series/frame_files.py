@@ -12,7 +12,7 @@ from pipeline.formats.preflight import refusal
 from pipeline.formats.sandbox import READER
 from pipeline.formats.vtk_readers import SUFFIXES, Grid
 
-__all__ = ["SUFFIXES", "Grid", "fault", "file_times", "read_grid"]
+__all__ = ["SUFFIXES", "Grid", "find_fault", "read_grid", "read_times"]
 
 
 def read_grid(file: Path, step: int = 0, *, ours: bool = False) -> Grid:
@@ -25,7 +25,7 @@ def read_grid(file: Path, step: int = 0, *, ours: bool = False) -> Grid:
     return Grid(*READER.read("pipeline.formats.vtk_readers:plain_grid", file, step, error=SeriesError))
 
 
-def file_times(file: Path) -> list[float] | None:
+def read_times(file: Path) -> list[float] | None:
     """Return the times [s] that a file knows of itself, None where it says nothing; raises SeriesError."""
     if (grid := grids.inline_grid(file)) is not None:
         told = grid.field_data.get("TimeValue")
@@ -42,7 +42,7 @@ def _check(file: Path) -> None:
         raise SeriesError(f"{file}: {why}")
 
 
-def fault(file: Path) -> str | None:
+def find_fault(file: Path) -> str | None:
     """Return what is wrong with a file that is not there, empty or cut off; None where nothing shows."""
     name = str(file)  # pathlib and file objects would take as long again, of thousands of files
     try:

@@ -55,7 +55,7 @@ class SeriesLayout:
 
     def check_cells(self, grid: Grid, where: str) -> None:
         """Raise SeriesError where the cells of a frame are not those of the first."""
-        if not same_cells(grid, self.grid):
+        if not have_same_cells(grid, self.grid):
             raise SeriesError(
                 f"{where}: its cells are not those of the first frame "
                 f"({len(grid.types)} cells, {grid.count} points; there {len(self.grid.types)} and "
@@ -71,26 +71,26 @@ class SeriesLayout:
                 f"{where}: the points move, unlike those of the first, the middle and the last frame: say whether "
                 f'displacement = "{field}" has to be added to them, or "none"'
             )
-        points = deformed(grid, self.displacement, where)
+        points = add_displacement(grid, self.displacement, where)
         points = points if self.nodes is None else points[self.nodes]
         bad = np.flatnonzero(~(np.abs(points) < _BEYOND).all(axis=1))  # written so that NaN counts too
         if bad.size:
             raise SeriesError(f"{where}: {bad.size} points are not finite, first {self.node(bad[0])}")
-        return planar(points, where) if self.mesh.dimension == 2 else np.ascontiguousarray(points)
+        return drop_z(points, where) if self.mesh.dimension == 2 else np.ascontiguousarray(points)
 
     def node(self, index: int) -> int:
         """Return the number of a node in the files."""
         return int(index if self.nodes is None else self.nodes[index])
 
 
-def same_cells(a: Grid, b: Grid) -> bool:
+def have_same_cells(a: Grid, b: Grid) -> bool:
     """Return whether two grids have the same points' count and the same cells."""
     if a.connectivity is b.connectivity and a.types is b.types:  # spelt alike, and read once
         return a.count == b.count
     return a.count == b.count and np.array_equal(a.types, b.types) and np.array_equal(a.connectivity, b.connectivity)
 
 
-def deformed(grid: Grid, displacement: str | None, where: str) -> Floats:
+def add_displacement(grid: Grid, displacement: str | None, where: str) -> Floats:
     """Return where the points of a grid are (n, 3)."""
     if displacement is None:
         return grid.points
@@ -102,14 +102,14 @@ def deformed(grid: Grid, displacement: str | None, where: str) -> Floats:
     return grid.points + np.pad(field, [(0, 0), (0, 3 - field.shape[1])])
 
 
-def planar(points: Floats, where: str) -> Floats:
+def drop_z(points: Floats, where: str) -> Floats:
     """Return points without their third coordinate, which must be constant."""
     if np.ptp(points[:, 2]) > _PLANAR * float(np.ptp(points, axis=0).max()):
         raise SeriesError(f"{where}: triangles that do not lie in a plane of constant z are a surface, not a body")
     return np.ascontiguousarray(points[:, :2])
 
 
-def understood(read: Callable[[int], Grid], count: int, options: Options, where: str) -> SeriesLayout:
+def infer_layout(read: Callable[[int], Grid], count: int, options: Options, where: str) -> SeriesLayout:
     """Return how to read a series of `count` frames; raises SeriesError where that cannot be known."""
     first = read(0)
     dimension, chosen, notes = _measured_cells(first, where)
@@ -123,7 +123,7 @@ def understood(read: Callable[[int], Grid], count: int, options: Options, where:
         rest, cells = rest[nodes], (np.cumsum(used) - 1)[cells]
         notes.append(f"{(~used).sum()} points that belong to no measured cell are left out, first {np.argmin(used)}")
     try:
-        points = planar(rest, f"{where}: rest state") if dimension == 2 else rest
+        points = drop_z(rest, f"{where}: rest state") if dimension == 2 else rest
         cells, mirrored = oriented(points, cells)
         mesh = Mesh(points, cells, name=where)
     except MeshError as error:
@@ -165,7 +165,7 @@ def _displacement(
     if options.displacement is not None:
         if options.displacement == "none":
             return None, []
-        deformed(first, options.displacement, where)
+        add_displacement(first, options.displacement, where)
         return options.displacement, []
     if "rest_position" in first.point_data:
         return None, []
@@ -192,7 +192,7 @@ def _rest_points(first: Grid, displacement: str | None, options: Options, where:
         if rest == "first":
             return first.points, ["the rest state is the first frame"]
     if rest == "first":
-        return deformed(first, displacement, where), []
+        return add_displacement(first, displacement, where), []
     if rest == "points":
         return first.points, []
     if rest == "rest_position":
@@ -203,7 +203,7 @@ def _rest_points(first: Grid, displacement: str | None, options: Options, where:
     if file.suffix not in SUFFIXES:
         raise SeriesError(f"rest state {file}: a file ({', '.join(SUFFIXES)}), first, points or rest_position")
     grid = read_grid(file)
-    if not same_cells(grid, first):
+    if not have_same_cells(grid, first):
         raise SeriesError(f"{where}: its cells are not those of the rest state {file}")
     return grid.points, []
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.preflight import leaving, refusal
-from pipeline.series.frame_files import SUFFIXES, fault, file_times
-from pipeline.series.run_folder import is_own, unlisted
+from pipeline.series.frame_files import SUFFIXES, find_fault, read_times
+from pipeline.series.run_folder import find_unlisted_frames, is_own
 
 _TEMPORAL = (".vtkhdf", ".xdmf")
 _OWN = ("series.pvd", "series.vtkhdf")
@@ -38,13 +38,13 @@ class FrameListing(NamedTuple):
     ours: bool = False
 
 
-def listing(path: Path, *, strict: bool) -> FrameListing:
+def list_frames(path: Path, *, strict: bool) -> FrameListing:
     """Return what a path names; raises SeriesError where that is nothing, and with `strict` for any missing frame."""
     index = _resolved(path)
     members, notes = _members(index)
     ours = index.name in _OWN and is_own(index.parent, tuple(member.file for member in members))
     if ours and index.suffix == ".pvd":
-        members += [Member(*more) for more in unlisted(index.parent, len(members))]
+        members += [Member(*more) for more in find_unlisted_frames(index.parent, len(members))]
     members, faults = _whole(members)
     if faults and strict:
         raise SeriesError(f"{index}: {len(faults)} frames cannot be read, first {faults[0]}")
@@ -100,7 +100,7 @@ def _members(index: Path) -> tuple[list[Member], list[str]]:
     if index.suffix == ".series":
         return _indexed(index, _json)
     if index.suffix in _TEMPORAL:
-        times = file_times(index) or [0.0]
+        times = read_times(index) or [0.0]
         return [Member(time, index, step) for step, time in enumerate(times)], []
     return _numbered(index, [index])
 
@@ -152,7 +152,7 @@ def _numbered(where: Path, found: Iterable[Path]) -> tuple[list[Member], list[st
     if len(stems) > 1:
         found_here = join_names(f"{stem} ({count})" for stem, count in stems.items())
         raise SeriesError(f"{where}: holds several series, give a pattern: {found_here}")
-    times = [file_times(file) if fault(file) is None else None for file in files]
+    times = [read_times(file) if find_fault(file) is None else None for file in files]
     known = [one[0] for one in times if one]
     if len(known) == len(files):
         return [Member(time, file) for time, file in zip(known, files, strict=True)], []
@@ -160,7 +160,7 @@ def _numbered(where: Path, found: Iterable[Path]) -> tuple[list[Member], list[st
         note = "the files say no times; frames are counted from 0" if len(files) > 1 else ""
         return [Member(float(i), file) for i, file in enumerate(files)], [note] if note else []
     # frames that cannot be read have no time either; they are told of as such
-    unknown = [file for file, one in zip(files, times, strict=True) if not one and fault(file) is None]
+    unknown = [file for file, one in zip(files, times, strict=True) if not one and find_fault(file) is None]
     if unknown:
         raise SeriesError(f"{where}: {len(known)} files say their time (TimeValue), {unknown[0].name} does not")
     return [Member(one[0] if one else float("nan"), file) for one, file in zip(times, files, strict=True)], []
@@ -173,7 +173,7 @@ def _natural(file: Path) -> list[tuple[int, str]]:
 
 def _whole(members: list[Member]) -> tuple[list[Member], list[str]]:
     """Return the members whose files are there and whole, and a text for each of the others."""
-    faults = {file: fault(file) for file in {member.file for member in members}}
+    faults = {file: find_fault(file) for file in {member.file for member in members}}
     if not any(faults.values()):  # as ever with thousands of frames
         return members, []
     when = {m: f" at t = {m.time:g} s" if m.time == m.time else "" for m in members}

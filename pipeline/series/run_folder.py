@@ -25,7 +25,7 @@ def _is_frame(name: str, beginning: str) -> bool:
     return name.startswith(beginning) and name.endswith(".vtu") and sep not in name[len(beginning) :]
 
 
-def unlisted(folder: Path, listed: int) -> list[tuple[float, Path]]:
+def find_unlisted_frames(folder: Path, listed: int) -> list[tuple[float, Path]]:
     """Return times [s] and files of the complete frames after the listed ones: an index is up to a second behind.
 
     They are taken in order; what lies behind a gap is of another run.

@@ -12,8 +12,8 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
 from pipeline.series.frame_files import Grid, read_grid
-from pipeline.series.layout import Options, SeriesLayout, understood
-from pipeline.series.listing import listing
+from pipeline.series.layout import Options, SeriesLayout, infer_layout
+from pipeline.series.listing import list_frames
 
 _AS_FOUND = Options()
 _LENGTHS = {(): 1, ("axis",): len(AXES), ("quantile",): len(QUANTILES)}
@@ -36,9 +36,9 @@ class Series:
         return len(self.files)
 
     def __iter__(self) -> Iterator[Frame]:
-        return (self.frame(i) for i in range(len(self)))
+        return (self.read_frame(i) for i in range(len(self)))
 
-    def chosen(self, kept: Sequence[int]) -> "Series":
+    def select_frames(self, kept: Sequence[int]) -> "Series":
         """Return the series of some of its frames, by their indices in increasing order."""
         return replace(
             self,
@@ -47,14 +47,14 @@ class Series:
             steps=tuple(self.steps[i] for i in kept) if self.steps else (),
         )
 
-    def grid(self, index: int) -> Grid:
+    def read_grid(self, index: int) -> Grid:
         """Return what the files say of one frame, read now; raises SeriesError where it cannot be read."""
         return read_grid(self.files[index], self.steps[index] if self.steps else 0, ours=self.ours)
 
-    def frame(self, index: int, grid: Grid | None = None) -> Frame:
+    def read_frame(self, index: int, grid: Grid | None = None) -> Frame:
         """Return one frame, read from its file now; raises SeriesError where the file is not one of this series."""
-        grid = self.grid(index) if grid is None else grid
-        x = self.positions(index, grid)
+        grid = self.read_grid(index) if grid is None else grid
+        x = self.read_positions(index, grid)
         stepwise = [name for name in STEPS if name in grid.field_data] if self.ours else []
         known = {name: np.asarray(grid.field_data[name], dtype=np.float64).ravel() for name in stepwise}
         for name in grid.field_data.keys() & VARIABLES.keys():
@@ -66,10 +66,10 @@ class Series:
         step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
         return Frame(index, self.times[index], self.mesh, x, step=step, v=self._velocity(grid), known=known)
 
-    def positions(self, index: int, grid: Grid | None = None) -> Floats:
-        """Return the positions (n, d) of one frame alone, read from its file now; raises SeriesError as `frame`."""
+    def read_positions(self, index: int, grid: Grid | None = None) -> Floats:
+        """Return the positions (n, d) of one frame alone, read from its file now; raises SeriesError as `read_frame`."""
         where = f"{self.files[index]}, t = {self.times[index]:g} s"
-        return self.layout.positions(self.grid(index) if grid is None else grid, where)
+        return self.layout.positions(self.read_grid(index) if grid is None else grid, where)
 
     def _velocity(self, grid: Grid) -> np.ndarray | None:
         v, d = grid.point_data.get("velocity"), self.mesh.dimension
@@ -81,7 +81,7 @@ class Series:
     @cached_property
     def layout(self) -> SeriesLayout:
         """Return how the files are understood; reads the first frame, and two more where it is not clear from that."""
-        return understood(self.grid, len(self), self.options, str(self.files[0]))
+        return infer_layout(self.grid, len(self), self.options, str(self.files[0]))
 
     @property
     def mesh(self) -> Mesh:
@@ -103,7 +103,7 @@ def read_series(
     Numbered files lie in a folder or match a pattern ("out/beam_*.vtu"). Frames that are missing or cut off are left
     out with a note; `strict` refuses them. `displacement` and `rest` are those of Options. Raises SeriesError.
     """
-    found = listing(Path(path), strict=strict)
+    found = list_frames(Path(path), strict=strict)
     times, files, steps = zip(*found.members, strict=True)
     options = Options(displacement, rest)
     series = Series(name or found.name, found.folder, files, times, steps, options, found.notes, found.ours)

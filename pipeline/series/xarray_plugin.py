@@ -66,14 +66,14 @@ def _backend() -> type:
         ) -> "xarray.Dataset":  # fmt: skip
             series = read_series(filename_or_obj, displacement=displacement, rest=rest, strict=strict)
             dropped = [drop_variables] if isinstance(drop_variables, str) else list(drop_variables or ())
-            return lazy_dataset(series).drop_vars(dropped, errors="ignore")
+            return make_lazy_dataset(series).drop_vars(dropped, errors="ignore")
 
     register: Any = xarray.register_dataset_accessor  # without types
     register("deformation")(DeformationAccessor)
     return SeriesBackend
 
 
-class Store:
+class FrameStore:
     """The frames of a series, the last ones kept: several fields of one frame cost one reading.
 
     Kept are the last two, and as many more as `_KEPT_BYTES` hold: fields are asked for one after the other, each in
@@ -86,13 +86,13 @@ class Store:
         self._bytes = 0
         self._lock = Lock()
 
-    def grid(self, index: int) -> Grid:
+    def read_grid(self, index: int) -> Grid:
         """Return what the files say of a frame, which must have the cells of the first."""
         with self._lock:  # VTK reads one at a time; dask asks from several threads
             if index in self._kept:
                 self._kept.move_to_end(index)
                 return self._kept[index]
-            grid = self.series.grid(index)
+            grid = self.series.read_grid(index)
             self.series.layout.check_cells(grid, str(self.series.files[index]))
             self._kept[index] = grid = grid.sharing(self.series.layout.grid)
             self._bytes += grid.nbytes
@@ -102,13 +102,13 @@ class Store:
 
     def values(self, kind: str, name: str, index: int) -> NDArray[Any]:
         """Return a field of a frame, of the nodes and cells that are measured."""
-        grid, layout = self.grid(index), self.series.layout
+        grid, layout = self.read_grid(index), self.series.layout
         if name == "displacement":
             # ours says it exactly; a difference of positions has been rounded twice
             if "displacement" in grid.point_data and "rest_position" in grid.point_data:
                 told = np.asarray(grid.point_data["displacement"], dtype=np.float64)
                 return told if layout.nodes is None else told[layout.nodes]
-            return spatial(self.series.frame(index, grid).x - layout.mesh.points)
+            return spatial(self.series.read_frame(index, grid).x - layout.mesh.points)
         data = getattr(grid, f"{kind}_data")
         if name not in data:
             raise SeriesError(
@@ -125,7 +125,7 @@ class Store:
         return self.series
 
     def __setstate__(self, series: Series) -> None:
-        Store.__init__(self, series)
+        FrameStore.__init__(self, series)
 
 
 def _described(name: str, dimension: int) -> dict[str, str]:
@@ -138,7 +138,7 @@ def _described(name: str, dimension: int) -> dict[str, str]:
     return {"long_name": name}
 
 
-def lazy_dataset(series: Series) -> "xarray.Dataset":
+def make_lazy_dataset(series: Series) -> "xarray.Dataset":
     """Return the dataset of a series: what does not change read, fields read when asked for.
 
     displacement (time, node, axis), every other point field (time, node[, axis]), cell field (time, cell) and
@@ -146,8 +146,8 @@ def lazy_dataset(series: Series) -> "xarray.Dataset":
     """
     import xarray
 
-    store, mesh, d = Store(series), series.mesh, series.mesh.dimension
-    first = store.grid(0)
+    store, mesh, d = FrameStore(series), series.mesh, series.mesh.dimension
+    first = store.read_grid(0)
     names = {"displacement": "point"} | {
         name: kind
         for kind in ("point", "cell", "field")
@@ -183,7 +183,7 @@ def _as_it_was(dataset: "xarray.Dataset", first: Grid) -> "xarray.Dataset":
     return dataset
 
 
-def _variable(store: Store, kind: str, name: str, dimension: int) -> "xarray.Variable":
+def _variable(store: FrameStore, kind: str, name: str, dimension: int) -> "xarray.Variable":
     """Return a variable whose frames are read when they are asked for."""
     import xarray
     from xarray.core import indexing
@@ -197,7 +197,7 @@ def _variable(store: Store, kind: str, name: str, dimension: int) -> "xarray.Var
     return xarray.Variable(dims, lazy, _described(name, dimension), {"preferred_chunks": chunks})
 
 
-def _frames(store: Store, kind: str, name: str) -> Any:
+def _frames(store: FrameStore, kind: str, name: str) -> Any:
     """Return one field of all frames (time, ...) as xarray's backends have their arrays."""
     from xarray.backends import BackendArray
     from xarray.core import indexing

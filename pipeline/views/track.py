@@ -73,7 +73,7 @@ def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda:
     inverted = np.empty(count, dtype=np.int64)
     sample = []
     for i in range(count):
-        x = series.positions(i)
+        x = series.read_positions(i)
         volumes = signed_volumes(x, mesh.cells)
         ratio = volumes / mesh.rest_volumes
         points[i, :, : mesh.dimension] = x[nodes]

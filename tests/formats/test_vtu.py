@@ -15,7 +15,7 @@ from pipeline.formats import vtu_read as inline
 from pipeline.formats.vtu_read import inline_file
 from pipeline.series import read_series
 from pipeline.series import xarray_plugin as engine
-from pipeline.series.dataset_writer import dataset_to_pvd
+from pipeline.series.dataset_writer import write_pvd_series
 from pipeline.series.frame_files import read_grid
 from tests.series.test_series import CELLS, POINTS, TIMES, fields, grid_at, moved, opened, pvd, written
 
@@ -85,7 +85,7 @@ def test_other_writers_too(tmp_path):
         assert_same(tmp_path / "m.vtu")
     dataset = opened(fields(tmp_path))
     dataset.attrs["title"] = "wörds <&>"
-    path = dataset_to_pvd(dataset, tmp_path / "ours.pvd")
+    path = write_pvd_series(dataset, tmp_path / "ours.pvd")
     for frame in sorted((tmp_path / "ours").iterdir()):
         assert_same(frame)
     assert opened(path).attrs["title"] == "wörds <&>"
@@ -309,16 +309,16 @@ def test_all_fields_cost_one_reading_of_each_frame(tmp_path, monkeypatch):
 def test_points_are_counted_and_cells_held_once(tmp_path, monkeypatch, mode):
     for i in range(12):
         saved(grid_at(i / 10), tmp_path / f"f{i:02}.vtu", mode=mode, compressor="none")
-    store = engine.Store(read_series(tmp_path))
-    grids = [store.grid(i) for i in range(12)]
+    store = engine.FrameStore(read_series(tmp_path))
+    grids = [store.read_grid(i) for i in range(12)]
     size = grids[0].nbytes
     assert POINTS.nbytes <= size < 1.5 * POINTS.nbytes  # in base64 where it is inline
     for name in ("types", "offsets", "connectivity"):
         assert len({id(getattr(grid, name)) for grid in grids}) == 1
     monkeypatch.setattr(engine, "_KEPT_BYTES", 5 * size)
-    store = engine.Store(read_series(tmp_path))
+    store = engine.FrameStore(read_series(tmp_path))
     for i in range(12):
-        store.grid(i)
+        store.read_grid(i)
         assert len(store._kept) == min(i + 1, 5)
 
 

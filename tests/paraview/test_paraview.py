@@ -50,7 +50,7 @@ def test_it_reads_times_names_components_types_and_ranges(run):
     series = read_series(folder)
     assert told["times"] == list(series.times)
     for i, frame in enumerate(told["frames"]):
-        grid = series.grid(i)
+        grid = series.read_grid(i)
         assert np.array_equal(frame["points"], grid.points) and frame["cells"] == len(grid.types)
         wanted = {}
         for data, values in (("point", grid.point_data), ("cell", grid.cell_data), ("field", grid.field_data)):

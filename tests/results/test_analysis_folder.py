@@ -136,12 +136,12 @@ def test_differences_of_the_nodes(tmp_path):
         worst, rms = dataset["node_distance_worst"], dataset["node_distance_rms"]
         assert worst[1].values == pytest.approx([0, GROWTH * 0.35 * far.max(), GROWTH * 0.25 * far.max()])
         assert rms[2].values == pytest.approx([GROWTH * t * np.sqrt(np.mean(far**2)) for t in TIMES])
-    assert [one.name for one in result.apart] == ["b", "c"]
-    one = result.apart[0]
+    assert [one.name for one in result.node_distances] == ["b", "c"]
+    one = result.node_distances[0]
     assert one.worst == pytest.approx(GROWTH * 0.35 * far.max()) and one.node == far.argmax() + 2
     assert (one.time, one.rms_time) == (0.1, 0.1) and one.rms == pytest.approx(one.worst * rms[1, 1] / worst[1, 1])
     without = compare([a, b], tmp_path / "without")
-    assert without.apart == ()
+    assert without.node_distances == ()
     with xarray.open_dataset(without.made[0]) as dataset:
         assert "node" not in dataset.dims
 

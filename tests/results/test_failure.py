@@ -52,7 +52,7 @@ def test_a_newton_that_does_not_converge_leaves_a_picture_of_where(tmp_path, cap
     grid = pyvista.read(folder / "failure.vtu")
     series = read_series(folder)
     assert len(series) == found["frames"] and "failure" not in (folder / "series.pvd").read_text()
-    last = series.frame(len(series) - 1)
+    last = series.read_frame(len(series) - 1)
     assert grid.field_data["step"][0] == failure["step"] == last.step
     assert np.array_equal(grid.points, last.x) and grid.field_data["TimeValue"][0] == last.time
     assert grid.cell_data["volume_ratio"] == pytest.approx(measure(last)["volume_ratio"], rel=1e-12)

@@ -55,7 +55,7 @@ def test_fields_of_cells_that_are_no_numbers_pass_through_and_disturb_nothing(tm
         grid.cell_data["damage"] = np.full(len(CELLS), np.inf)
         grid.save(tmp_path / f"f{i}.vtu")
     path = pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
-    assert np.isfinite(measure(read_series(path).frame(2))["volume_ratio"]).all()
+    assert np.isfinite(measure(read_series(path).read_frame(2))["volume_ratio"]).all()
     dataset = xarray.open_dataset(path, engine=engine.SeriesBackend)
     assert np.flatnonzero(np.isnan(dataset["stress"].values[1])).tolist() == [7]
     assert np.isinf(dataset["damage"].values).all()
@@ -125,5 +125,5 @@ def test_the_index_itself_is_small(tmp_path):
     finally:
         tracemalloc.stop()
     assert len(series) == 20_000 and series.times[-1] == 19_999.0
-    assert np.array_equal(series.frame(4).x, moved(TIMES[1]))
+    assert np.array_equal(series.read_frame(4).x, moved(TIMES[1]))
     assert size < 20_000 * 1000  # bytes an entry: a time, and a path

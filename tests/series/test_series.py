@@ -19,7 +19,7 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.run.measures import measure
 from pipeline.series import Series, read_series
 from pipeline.series import xarray_plugin as engine
-from pipeline.series.dataset_writer import dataset_to_pvd
+from pipeline.series.dataset_writer import write_pvd_series
 from tests.bodies import assert_conventional
 
 TIMES = [0.0, 0.1, 0.25]
@@ -105,7 +105,7 @@ def test_meshio_writes_numbered_files(tmp_path, suffix, binary):
         meshio.write(tmp_path / f"beam_{i}.{suffix}", mesh, binary=binary)
     series = read_series(str(tmp_path / "beam_*"))
     assert series.times == (0.0, 1.0, 2.0) and "counted from 0" in series.notes[0]
-    assert measure(series.frame(2))["volume_ratio"] == pytest.approx((1 + GROWTH * TIMES[2]) ** 3)
+    assert measure(series.read_frame(2))["volume_ratio"] == pytest.approx((1 + GROWTH * TIMES[2]) ** 3)
 
 
 def test_numbers_are_in_natural_order_and_times_come_from_the_files(tmp_path):
@@ -217,7 +217,7 @@ def test_triangles_in_the_plane(tmp_path):
         meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(points * [1 + t, 1, 1], [("triangle", cells)]))
     series = read_series(tmp_path)
     assert series.mesh.dimension == 2
-    assert measure(series.frame(1))["volume_ratio"] == pytest.approx([1.1, 1.1])
+    assert measure(series.read_frame(1))["volume_ratio"] == pytest.approx([1.1, 1.1])
 
 
 # What is found out
@@ -230,7 +230,7 @@ def test_rest_points_and_a_displacement_field(tmp_path):
     assert any("Displacement is taken for the displacement" in note for note in series.notes)
     assert_grows(read_series(path, displacement="Displacement"))
     still = read_series(path, displacement="none")
-    assert measure(still.frame(2))["volume_ratio"] == pytest.approx(1.0)
+    assert measure(still.read_frame(2))["volume_ratio"] == pytest.approx(1.0)
 
 
 def test_points_that_move_between_the_frames_looked_at_are_not_moved_twice(tmp_path):
@@ -270,7 +270,7 @@ def test_where_the_rest_state_comes_from(tmp_path):
     path = pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES[1:])])
 
     def first_ratio(**options):
-        return measure(read_series(path, **options).frame(0))["volume_ratio_mean"]
+        return measure(read_series(path, **options).read_frame(0))["volume_ratio_mean"]
 
     grown = (1 + GROWTH * TIMES[1]) ** 3
     assert first_ratio() == pytest.approx(grown / 8)
@@ -474,15 +474,15 @@ def test_a_dataset_written_and_read_is_the_same(tmp_path):
     dataset["temperature"].attrs["units"] = "K"
     dataset["volume_ratio"] = dataset.deformation.volume_ratio()
     dataset.attrs["history"] = "told"
-    path = dataset_to_pvd(dataset, tmp_path / "again.pvd")
+    path = write_pvd_series(dataset, tmp_path / "again.pvd")
     again = opened(path)
     xarray.testing.assert_identical(again, dataset)
     assert {name: one.dtype for name, one in again.items()} == {name: one.dtype for name, one in dataset.items()}
-    twice = opened(dataset_to_pvd(again, tmp_path / "twice.pvd"))
+    twice = opened(write_pvd_series(again, tmp_path / "twice.pvd"))
     xarray.testing.assert_identical(twice, dataset)
     assert b"<AppendedData" not in (tmp_path / "again" / "frame_000000.vtu").read_bytes()
     with pytest.raises(SeriesError, match="frames cannot hold mean"):
-        dataset_to_pvd(dataset.assign(mean=dataset["velocity"].mean("time")), tmp_path / "no.pvd")
+        write_pvd_series(dataset.assign(mean=dataset["velocity"].mean("time")), tmp_path / "no.pvd")
 
 
 def test_a_planar_dataset_too(tmp_path):
@@ -491,7 +491,7 @@ def test_a_planar_dataset_too(tmp_path):
         meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(points * [1 + t, 1, 1], [("triangle", cells)]))
     dataset = opened(str(tmp_path / "f0.vtu").replace("f0", "f*"))
     assert dataset.deformation.volume_ratio().values[1] == pytest.approx([1.1, 1.1])
-    xarray.testing.assert_identical(opened(dataset_to_pvd(dataset, tmp_path / "a" / "p.pvd")), dataset)
+    xarray.testing.assert_identical(opened(write_pvd_series(dataset, tmp_path / "a" / "p.pvd")), dataset)
 
 
 def test_xarray_finds_the_engine_by_itself(tmp_path, installed):

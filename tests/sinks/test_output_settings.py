@@ -46,7 +46,7 @@ def assert_same_series(one, other):
     series = [read_series(folder) for folder in (one, other)]
     assert series[0].times == series[1].times
     for i in range(len(series[0])):
-        grids = [one.grid(i) for one in series]
+        grids = [one.read_grid(i) for one in series]
         assert np.array_equal(grids[0].points, grids[1].points)
         for data in ("point_data", "cell_data", "field_data"):
             first, second = (getattr(grid, data) for grid in grids)
@@ -77,7 +77,7 @@ def test_the_dataset_is_float64_whatever_the_frames_are(tmp_path, output):
         xarray.testing.assert_identical(ours, theirs)
     assert any("statistics.nc cannot be made again" in note for note in found.run["notes"]) == ("float32" in output)
     assert (found.folder / FORMATS[OUTPUTS[output].get("format", "vtu")].index).exists()
-    points = {folder: read_series(folder).grid(5).points for folder in (found.folder, usual.folder)}
+    points = {folder: read_series(folder).read_grid(5).points for folder in (found.folder, usual.folder)}
     assert points[found.folder] == pytest.approx(points[usual.folder], rel=1e-6, abs=1e-6)
 
 
@@ -147,7 +147,7 @@ def test_kill_9_at_random_moments_and_the_rest_goes_on(tmp_path, output):
         _, err = child.communicate()
         assert child.returncode == -signal.SIGKILL, err
         series = read_series(folder)
-        assert all(np.isfinite(series.frame(i).x).all() for i in range(len(series)))
+        assert all(np.isfinite(series.read_frame(i).x).all() for i in range(len(series)))
     resumed = solve(path, out, resume=True).variants[0]
     assert len(resumed.run["resumed_after_steps"]) == 2
     assert_same_series(solve(path, tmp_path / "whole").variants[0].folder, folder)

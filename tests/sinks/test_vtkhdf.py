@@ -65,9 +65,9 @@ def test_vtk_finds_every_frame_and_field_as_in_the_vtu(given, tmp_path, room, pr
         assert numbers.keys() == {*fields.numbers, "Time"}  # VTK adds the last one
         for name, value in fields.numbers.items():
             assert numbers[name].dtype == value.dtype and np.array_equal(numbers[name].ravel(), value.ravel())
-        assert series.grid(i).types.tolist() == other.grid(i).types.tolist()
-        assert np.array_equal(series.grid(i).connectivity, other.grid(i).connectivity)
-        assert series.frame(i).step == frame.step
+        assert series.read_grid(i).types.tolist() == other.read_grid(i).types.tolist()
+        assert np.array_equal(series.read_grid(i).connectivity, other.read_grid(i).connectivity)
+        assert series.read_frame(i).step == frame.step
 
 
 def test_the_dataset_is_rebuilt_from_the_file(given, tmp_path):
@@ -133,7 +133,7 @@ def test_a_frame_is_counted_by_a_write_of_a_few_bytes(given, tmp_path, monkeypat
         (tmp_path / "image.vtkhdf").write_bytes(image)
         series = read_series(tmp_path / "image.vtkhdf")
         assert len(series) == 1 + (i + 1) // 2
-        assert np.array_equal(series.frame(len(series) - 1).x, given[len(series) - 1].x)
+        assert np.array_equal(series.read_frame(len(series) - 1).x, given[len(series) - 1].x)
 
 
 WRITER = """
@@ -172,7 +172,9 @@ def test_kill_9_leaves_every_frame_that_was_counted(tmp_path, room):
         series = read_series(folder)
         assert series.times == tuple(float(i) for i in range(len(series))) and len(series) > max(told, default=0)
         for i in {0, len(series) // 2, len(series) - 1}:
-            assert series.frame(i).step == i and series.frame(i).x.min() == pytest.approx(series.frame(0).x.min() + i)
+            assert series.read_frame(i).step == i and series.read_frame(i).x.min() == pytest.approx(
+                series.read_frame(0).x.min() + i
+            )
 
 
 def test_a_missing_package_is_told_before_anything_is_solved(tmp_path, monkeypatch, capfd):

@@ -20,7 +20,7 @@ from pipeline.results.analysis_folder import compare
 from pipeline.results.run_case import run_campaign
 from pipeline.run.frame import Frame
 from pipeline.series import read_series
-from pipeline.series.xarray_plugin import lazy_dataset
+from pipeline.series.xarray_plugin import make_lazy_dataset
 from pipeline.stepping.energy_guard import Guarded
 from tests.bodies import solid
 
@@ -175,7 +175,7 @@ def test_recorded_steps_do_not_disturb_what_reads_frames(tmp_path) -> None:
     found = compare([folder / "polar", folder / "linear"], tmp_path / "compared")
     with xarray.open_dataset(found.folder / "comparison.nc") as joined:
         assert "rung" in joined and "step" not in joined.dims and joined.sizes["time"] == 5
-    steps = lazy_dataset(read_series(folder / "polar"))["step_rung"]
+    steps = make_lazy_dataset(read_series(folder / "polar"))["step_rung"]
     assert steps.dims == ("time", "step_of_frame") and steps.shape == (5, 3)
 
 

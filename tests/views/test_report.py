@@ -133,7 +133,7 @@ def test_a_scene_holds_the_frames(folder, text):
     assert [key for key in vertices if key.isdigit()] == [str(i) for i in range(len(series))]
     kept = np.frombuffer(vertices["4"]["data"], np.float32).reshape(-1, 3)
     # all nodes of this beam lie on its surface
-    assert np.abs(kept - series.frame(4).x).max() < series.mesh.size * 2**-15
+    assert np.abs(kept - series.read_frame(4).x).max() < series.mesh.size * 2**-15
 
 
 def test_without_k3d_the_page_has_the_rest(folder, monkeypatch, tmp_path):
@@ -233,7 +233,7 @@ def test_the_page_of_anybodys_series(folder, tmp_path, monkeypatch, capsys):
     assert data_of(text)["labels"] == ["linear", "linear_2"] and "Difference of nodes" not in text
     found = compare(two, tmp_path / "apart", difference=True)
     text = report_of_analysis(found, two, "").read_text(encoding="utf-8")
-    assert "from those of linear" in text and f">{found.apart[0].worst:.4g}</td>" in text
+    assert "from those of linear" in text and f">{found.node_distances[0].worst:.4g}</td>" in text
     out = (tmp_path / "three").as_posix()
     source = (folder / "linear").as_posix()
     assert main(["analyze", source, "--report", "--rest", "rest_position", "--out", out]) == 0

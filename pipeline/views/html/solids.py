@@ -69,7 +69,7 @@ def solids(
             if on_frame is not None:
                 on_frame(label, next(done), frames)
 
-        tracks.append(read_track(one.chosen(kept), label, told))
+        tracks.append(read_track(one.select_frames(kept), label, told))
     radius, camera = colour_radius(tracks), fit_camera(tracks)
     palette = Palette(radius)
     meta = {
