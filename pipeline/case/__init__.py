@@ -1,4 +1,4 @@
-"""TOML file -> validated, frozen Case with overrides and variants. No numerics are imported here."""
+"""A TOML file becomes a validated, frozen Case with overrides and variants; no numerics are imported here."""
 
 from pipeline.case.model import Case, load_case
 from pipeline.case.overrides import parse_override

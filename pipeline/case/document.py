@@ -1,4 +1,4 @@
-"""A TOML file as a dict, or one line that says why not."""
+"""A TOML file as a dict, or a one-line error."""
 
 import tomllib
 from difflib import get_close_matches
@@ -9,14 +9,14 @@ from pipeline.errors import CaseError, quote_value, shorten
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file. CaseError names what is in the way, with the line where there is one."""
+    """Return the tables of a TOML file; raises CaseError with the reason and the line, if there is one."""
     if "\0" in str(path):
         raise CaseError(f"{quote_value(str(path))}: no such file")
     try:
         if path.is_dir():
-            raise CaseError(f"{path}: is a folder, not a case file{_inside(path)}")
+            raise CaseError(f"{path}: is a folder, not a case file{_mention_cases_in(path)}")
         if not path.exists():
-            raise CaseError(f"{path}: no such file{_near(path)}")
+            raise CaseError(f"{path}: no such file{_suggest_path(path)}")
         if not path.is_file():
             raise CaseError(f"{path}: is not a regular file")
         text = path.read_bytes().decode("utf-8-sig")
@@ -25,38 +25,38 @@ def read_document(path: Path) -> dict[str, Any]:
         raise CaseError(f"{path}: line {line}: not UTF-8") from None
     except OSError as error:
         raise CaseError(f"{path}: cannot be read: {error.strerror}") from None
-    return _parsed(text, path)
+    return _parse(text, path)
 
 
-def _parsed(text: str, path: Path) -> dict[str, Any]:
+def _parse(text: str, path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         reason = " ".join(str(error).split())
         end = f"at line {text.count(chr(10)) + 1}, the end of the file"
         raise CaseError(f"{path}: not TOML: {shorten(reason.replace('at end of document', end), 200)}") from None
-    except ValueError as error:  # a number beyond Python's limit of digits, a day that no month has
+    except ValueError as error:  # a number with too many digits for Python, or an impossible date
         raise CaseError(f"{path}: not TOML: {' '.join(str(error).split())}") from None
 
 
-def _inside(folder: Path) -> str:
-    """What a folder has instead of being a case file."""
-    names = [file.name for file in _cases(folder)]
+def _mention_cases_in(folder: Path) -> str:
+    """Return a hint that lists the case files in a folder, "" if there are none."""
+    names = [file.name for file in _list_cases(folder)]
     listed = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
     return f"; {folder} has {listed}" if names else ""
 
 
-def _near(path: Path) -> str:
-    """The case files that may be meant: those named alike beside it or, where there are none, in cases/."""
+def _suggest_path(path: Path) -> str:
+    """Return a hint with similarly named case files beside the path or else in cases/, "" if there are none."""
     for folder in (path.parent, Path("cases")):
-        files = {file.stem: file for file in _cases(folder)}
-        # without the ending, which makes all names alike
+        files = {file.stem: file for file in _list_cases(folder)}
+        # the common suffix would make all names similar
         if found := get_close_matches(path.name.removesuffix(".toml"), files, n=3):
             return f"; did you mean {' or '.join(str(files[name]) for name in found)}?"
     return ""
 
 
-def _cases(folder: Path) -> list[Path]:
+def _list_cases(folder: Path) -> list[Path]:
     try:
         return sorted(folder.glob("*.toml"))
     except OSError:

@@ -1,4 +1,4 @@
-"""A validation error as one key and one line, with the nearest known key where one was mistyped."""
+"""A validation error as one key and one line, with the nearest known key if one was misspelled."""
 
 from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
@@ -7,7 +7,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from pipeline.case.specs import CaseFile
-from pipeline.case.values import as_toml, dotted
+from pipeline.case.values import join_key, suggest_toml
 from pipeline.errors import quote_value
 
 WANTED = {
@@ -19,73 +19,73 @@ WANTED = {
 }
 
 
-def first_fault(error: ValidationError, overrides: Iterable[str] = ()) -> tuple[tuple[str, ...], str]:
-    """The key and message of the first fault; unknown keys come first, as a misspelt key is also missing."""
+def describe_first_fault(error: ValidationError, overrides: Iterable[str] = ()) -> tuple[tuple[str, ...], str]:
+    """Return the key and message of the first fault; unknown keys come first, as a misspelled key is also missing."""
     details = error.errors(include_url=False)
     detail = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
     context: dict[str, Any] = detail.get("ctx", {})
     parts = tuple(str(part) for part in detail["loc"] if part != "[key]") + tuple(context.get("key", ()))
     match detail["type"]:
         case "extra_forbidden":
-            whole = next((key for key in map(_parts, overrides) if key[: len(parts)] == parts), parts)
+            whole = next((key for key in map(_split_key, overrides) if key[: len(parts)] == parts), parts)
             whole = max(whole, parts, key=len)
-            return whole, f"unknown key; {_remedy(parts, whole[len(parts) :])}"
+            return whole, f"unknown key; {_suggest_key(parts, whole[len(parts) :])}"
         case "missing":
             return parts, "missing"
         case "case":
             return parts, str(context["message"])
         case kind if kind in WANTED:
-            remedy = as_toml(detail["input"]) if kind == "tuple_type" else ""
+            remedy = suggest_toml(detail["input"]) if kind == "tuple_type" else ""
             return parts, f"{quote_value(detail['input'])} is not {WANTED[kind]}{remedy}"
     return parts, " ".join(detail["msg"].split())
 
 
-def blamed(parts: tuple[str, ...], variant: str, overrides: Iterable[str]) -> str:
-    """The key to name for a fault in a variant: that of the override at fault, else the place itself."""
+def name_faulty_key(parts: tuple[str, ...], variant: str, overrides: Iterable[str]) -> str:
+    """Return the key to name for a fault in a variant: the override that caused it, else the faulty key itself."""
     for key in overrides:
-        if parts[: len(_parts(key))] == _parts(key):
-            return dotted(("variants", variant, key, *parts[len(_parts(key)) :]))
+        if parts[: len(_split_key(key))] == _split_key(key):
+            return join_key(("variants", variant, key, *parts[len(_split_key(key)) :]))
     for key in overrides:
-        if _parts(key)[: len(parts)] == parts:
-            return dotted(("variants", variant, key))
-    return dotted(parts)
+        if _split_key(key)[: len(parts)] == parts:
+            return join_key(("variants", variant, key))
+    return join_key(parts)
 
 
-def _parts(key: str) -> tuple[str, ...]:
+def _split_key(key: str) -> tuple[str, ...]:
     return tuple(key.split("."))
 
 
-def _remedy(parts: tuple[str, ...], rest: tuple[str, ...]) -> str:
-    """What to write instead: a sibling spelt alike, the same word elsewhere, or one of all siblings."""
+def _suggest_key(parts: tuple[str, ...], rest: tuple[str, ...]) -> str:
+    """Return a suggestion: a sibling with a similar spelling, the same word elsewhere, or the list of all siblings."""
     *parent, word = parts
-    siblings = list(_model_at(parent).model_fields)
+    siblings = list(_model_at_key(parent).model_fields)
     near = get_close_matches(word, siblings, n=1)
     if near:
-        return f'did you mean "{dotted((*parent, near[0], *rest))}"?'
-    elsewhere = [key for key in _keys(CaseFile) if _parts(key)[-1] == word]
+        return f'did you mean "{join_key((*parent, near[0], *rest))}"?'
+    elsewhere = [key for key in _iterate_keys(CaseFile) if _split_key(key)[-1] == word]
     if elsewhere:
         return "did you mean " + " or ".join(f'"{key}"' for key in elsewhere) + "?"
-    return f"known are {', '.join(siblings)}"
+    return f"choose from {', '.join(siblings)}"
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
+def _find_model(annotation: Any) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((model for argument in get_args(annotation) if (model := _model_in(argument))), None)
+    return next((model for argument in get_args(annotation) if (model := _find_model(argument))), None)
 
 
-def _model_at(parts: Iterable[str]) -> type[BaseModel]:
+def _model_at_key(parts: Iterable[str]) -> type[BaseModel]:
     model: type[BaseModel] = CaseFile
     for part in parts:
         if part in model.model_fields:
-            model = _model_in(model.model_fields[part].annotation) or model
+            model = _find_model(model.model_fields[part].annotation) or model
     return model
 
 
-def _keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
-    """Every dotted key that is not inside a list."""
+def _iterate_keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
+    """Yield every dotted key that is not inside a list."""
     for name, field in model.model_fields.items():
         yield prefix + name
-        inner = _model_in(field.annotation)
+        inner = _find_model(field.annotation)
         if inner and "tuple" not in str(field.annotation):
-            yield from _keys(inner, f"{prefix}{name}.")
+            yield from _iterate_keys(inner, f"{prefix}{name}.")

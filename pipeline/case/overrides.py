@@ -1,15 +1,15 @@
-"""Dotted overrides, as `--set` and a case's variants write them."""
+"""Overrides by dotted key, as `--set` and the variants of a case write them."""
 
 import tomllib
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.case.values import dotted
+from pipeline.case.values import join_key
 from pipeline.errors import CaseError, quote_value
 
 
 def parse_override(text: str) -> tuple[str, object]:
-    """The key and value of "key=value"; what is no TOML value (a bare word) is a string."""
+    """Return the key and value of "key=value"; a value that is not TOML, such as a bare word, is a string."""
     key, equals, value = text.partition("=")
     key, value = key.strip(), value.strip()
     if not equals or not key:
@@ -21,18 +21,18 @@ def parse_override(text: str) -> tuple[str, object]:
     return key, table["value"] if len(table) == 1 else value
 
 
-def overridden(document: Mapping[str, Any], key: str, value: object) -> dict[str, Any]:
-    """A copy of the document with the dotted key set; a table replaces a table. ValueError says why not."""
+def apply_override(document: Mapping[str, Any], key: str, value: object) -> dict[str, Any]:
+    """Return a copy of the document with a dotted key set; a table replaces a table. Raises ValueError."""
     if value is None:
         raise ValueError("None is not a TOML value")
     parts = key.split(".")
-    if parts[0] == "variants":  # below a variant's name stands one dotted key
+    if parts[0] == "variants":  # a variant's name is followed by one dotted key
         parts = [*parts[:2], *filter(None, [".".join(parts[2:])])]
-    return dict(_replaced(document, parts, value, ()))
+    return dict(_replace_at(document, parts, value, ()))
 
 
-def forgotten(document: Mapping[str, Any], key: str, value: object) -> list[str]:
-    """The keys that are lost where an override replaces a whole table."""
+def list_dropped_keys(document: Mapping[str, Any], key: str, value: object) -> list[str]:
+    """Return the keys that are lost if an override replaces a whole table."""
     node: Any = document
     for part in key.split("."):
         node = node.get(part) if isinstance(node, Mapping) else None
@@ -41,16 +41,16 @@ def forgotten(document: Mapping[str, Any], key: str, value: object) -> list[str]
     return [name for name in node if name not in value]
 
 
-def _replaced(node: Any, parts: list[str], value: object, done: tuple[str, ...]) -> Any:
+def _replace_at(node: Any, parts: list[str], value: object, done: tuple[str, ...]) -> Any:
     if not parts:
         return value
     head, *rest = parts
     if isinstance(node, Mapping):
-        return {**node, head: _replaced(node.get(head, {}), rest, value, (*done, head))}
+        return {**node, head: _replace_at(node.get(head, {}), rest, value, (*done, head))}
     if isinstance(node, list | tuple):
         index = int(head) if head.isascii() and head.isdecimal() and len(head) < 10 else -1
         if not 0 <= index < len(node):
             has = f"entries 0 to {len(node) - 1}" if node else "no entries"
-            raise ValueError(f"{dotted(done)} is a list with {has}; it has no {quote_value(head)}")
-        return [*node[:index], _replaced(node[index], rest, value, (*done, head)), *node[index + 1 :]]
-    raise ValueError(f"{dotted(done)} is {quote_value(node)}, not a table")
+            raise ValueError(f"{join_key(done)} is a list with {has}; it has no {quote_value(head)}")
+        return [*node[:index], _replace_at(node[index], rest, value, (*done, head)), *node[index + 1 :]]
+    raise ValueError(f"{join_key(done)} is {quote_value(node)}, not a table")

@@ -1,301 +1,329 @@
-"""The sections of a case file. Names of laws, steppers and shapes are free here: build.py owns the tables."""
+"""The sections of a case file, each key with its unit and one sentence.
+
+Names of laws, steppers and shapes are free here: the tables in problem/methods.py own them.
+"""
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic.fields import FieldInfo
 
 from pipeline.case.values import (
     AxisName,
     Count,
+    Counts,
     Direction,
-    EvenCount,
+    FiniteNumber,
     FolderName,
     Fraction,
     FrameRate,
     Iterations,
-    NodeNumber,
-    Number,
+    Length,
+    Lengths,
+    NodeNumbers,
+    OneOf,
+    PictureSize,
     PoissonRatio,
     Positive,
     Text,
     Vector,
-    choice,
-    entries,
-    fault,
-    folder_name,
+    check_folder_name,
+    make_fault,
 )
 from pipeline.errors import join_names, quote_value
+from pipeline.system.times import count_intervals
 
-# A ratio this near to a whole number is meant to be one: 0.3 / 0.1 is not 3 in floating point.
-INTERVAL_RTOL = 1e-9
 VARIANT_SECTIONS = ("mesh", "material", "supports", "loads", "initial", "method", "schedule", "output")
 ONLY_VARIANT = "default"
 
 
+def about(description: str, unit: str | None = None) -> FieldInfo:
+    """Return the metadata of a key: its sentence and its unit, for the JSON Schema and the docs."""
+    extra = None if unit is None else {"unit": unit}
+    return Field(description=description, json_schema_extra=extra)  # type: ignore[arg-type]
+
+
 class Spec(BaseModel):
-    """A table of the case file: frozen, every key known."""
+    """A table of the case file: frozen, with known keys only."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    def implied(self) -> frozenset[str]:
-        """The attributes that are not written to a file, because others determine them."""
+    def derived_keys(self) -> frozenset[str]:
+        """Return the attributes that follow from others and so are not written to a file."""
         return frozenset()
 
 
 class MeshSpec(Spec):
-    """Either a shape with its size [m] and cells, or a file with the scale that makes it metres."""
+    """The mesh: a shape with its size and cells, or a file with a scale."""
 
-    shape: Text | None = None
-    size: Annotated[tuple[Positive, ...], entries(2, 3)] | None = None
-    cells: Annotated[tuple[Count, ...], entries(2, 3)] | None = None
-    split: Text = "kuhn"
-    file: Text | None = None
-    scale: Positive = 1.0
+    shape: Annotated[Text | None, about("a shape that is meshed by rule")] = None
+    size: Annotated[Lengths | None, about("extent of the shape along each axis", "m")] = None
+    cells: Annotated[Counts | None, about("blocks along each axis, each of which is split into simplices")] = None
+    split: Annotated[Text, about("how a block is split into simplices")] = "kuhn"
+    file: Annotated[Text | None, about("a mesh file, relative to the case file; any format that meshio reads")] = None
+    scale: Annotated[Positive, about("factor that turns the file's coordinates into meters")] = 1.0
 
     @model_validator(mode="after")
-    def _one_source(self) -> "MeshSpec":
+    def _check_source(self) -> "MeshSpec":
         if (self.shape is None) == (self.file is None):
             both = self.shape is not None
-            raise fault("shape and file exclude each other" if both else "neither shape nor file")
-        foreign = self.implied() & {key for key in self.model_fields_set if getattr(self, key) is not None}
-        if foreign:
+            raise make_fault("shape and file exclude each other" if both else "neither shape nor file")
+        misplaced = self.derived_keys() & {key for key in self.model_fields_set if getattr(self, key) is not None}
+        if misplaced:
             source = "file" if self.file is None else "shape"
-            raise fault(f"goes with {source}, which is not given", min(foreign))
+            raise make_fault(f"goes with {source}, which is not given", min(misplaced))
         if self.file is None:
             for key in ("size", "cells"):
                 if getattr(self, key) is None:
-                    raise fault("missing", key)
+                    raise make_fault("missing", key)
             lengths = len(self.cells or ()), len(self.size or ())
             if lengths[0] != lengths[1]:
-                raise fault(f"has {lengths[0]} entries, but size has {lengths[1]}", "cells")
+                raise make_fault(f"has {lengths[0]} entries, but size has {lengths[1]}", "cells")
         return self
 
-    def implied(self) -> frozenset[str]:
+    def derived_keys(self) -> frozenset[str]:
         return frozenset({"scale"} if self.file is None else {"size", "cells", "split"})
 
 
 class MaterialSpec(Spec):
-    """Young's modulus [Pa], Poisson's ratio, density [kg/m3]."""
+    """The material: isotropic and linear."""
 
-    youngs_modulus: Positive
-    poisson_ratio: PoissonRatio
-    density: Positive
+    youngs_modulus: Annotated[Positive, about("Young's modulus", "Pa")]
+    poisson_ratio: Annotated[PoissonRatio, about("Poisson's ratio, above -1 and below 0.5")]
+    density: Annotated[Positive, about("mass per rest volume", "kg/m3")]
 
 
 class SphereSpec(Spec):
-    """A ball [m]."""
+    """A ball."""
 
-    center: Vector
-    radius: Positive
+    center: Annotated[Vector, about("center of the ball", "m")]
+    radius: Annotated[Positive, about("radius of the ball", "m")]
 
 
 class HalfSpaceSpec(Spec):
-    """All that lies on one side of `at` [m] along an axis."""
+    """Everything on one side of a plane."""
 
-    axis: AxisName
-    at: Number
+    axis: Annotated[AxisName, about("axis that the plane is perpendicular to")]
+    at: Annotated[FiniteNumber, about("position of the plane along the axis", "m")]
 
 
 class SpinSpec(Spec):
-    """A rotation about an axis through `center` [m] at `rate` [degree/s]."""
+    """A rotation about an axis."""
 
-    axis: Direction
-    rate: Number
-    center: Vector | None = None
+    axis: Annotated[Direction, about("direction of the axis; along z for a planar mesh")]
+    rate: Annotated[FiniteNumber, about("angular velocity", "degree/s")]
+    center: Annotated[Vector | None, about("a point on the axis; the center of mass for a free body", "m")] = None
 
 
 class MotionSpec(Spec):
-    """How supported nodes move: velocity [m/s], spin, or both."""
+    """The motion of supported nodes: a velocity, a spin, or both."""
 
-    velocity: Vector | None = None
-    spin: SpinSpec | None = None
+    velocity: Annotated[Vector | None, about("velocity of the nodes", "m/s")] = None
+    spin: Annotated[SpinSpec | None, about("rotation of the nodes about an axis; needs a center")] = None
 
     @model_validator(mode="after")
-    def _some_motion(self) -> "MotionSpec":
+    def _check_motion(self) -> "MotionSpec":
         if self.velocity is None and self.spin is None:
-            raise fault("neither velocity nor spin")
+            raise make_fault("neither velocity nor spin")
         return self
 
 
-def _box(corners: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+def _check_box(corners: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
     low, high = corners
     if len(low) != len(high):
-        raise fault(f"corners have {len(low)} and {len(high)} entries")
+        raise make_fault(f"corners have {len(low)} and {len(high)} entries")
     if any(a > b for a, b in zip(low, high, strict=True)):
-        raise fault(f"{quote_value(list(low))} is not below {quote_value(list(high))}; write [[lowest], [highest]]")
+        raise make_fault(
+            f"{quote_value(list(low))} is not below {quote_value(list(high))}; write [[lowest], [highest]]"
+        )
     return corners
 
 
-class SelectorSpec(Spec):
-    """Nodes, chosen by exactly one of plane (with at), box, sphere, below, above [m, scaled] or nodes."""
+Box = Annotated[tuple[Vector, ...], Length(2, 2), AfterValidator(_check_box)]
 
-    plane: AxisName | None = None
-    at: Number | None = None
-    box: Annotated[tuple[Vector, ...], entries(2, 2), AfterValidator(_box)] | None = None
-    sphere: SphereSpec | None = None
-    below: HalfSpaceSpec | None = None
-    above: HalfSpaceSpec | None = None
-    nodes: Annotated[tuple[NodeNumber, ...], entries(1)] | None = None
+
+class SelectorSpec(Spec):
+    """A set of nodes, chosen by exactly one of plane (with at), box, sphere, below, above or nodes."""
+
+    plane: Annotated[AxisName | None, about("nodes in the plane perpendicular to this axis; needs at")] = None
+    at: Annotated[FiniteNumber | None, about("position of the plane along its axis, after scaling", "m")] = None
+    box: Annotated[Box | None, about("nodes in a box, given as [[lowest corner], [highest corner]]", "m")] = None
+    sphere: Annotated[SphereSpec | None, about("nodes in a ball")] = None
+    below: Annotated[HalfSpaceSpec | None, about("nodes below a plane")] = None
+    above: Annotated[HalfSpaceSpec | None, about("nodes above a plane")] = None
+    nodes: Annotated[NodeNumbers | None, about("node numbers, counted from 0")] = None
 
     @model_validator(mode="after")
-    def _one_selector(self) -> "SelectorSpec":
+    def _check_selector(self) -> "SelectorSpec":
         kinds = ("plane", "box", "sphere", "below", "above", "nodes")
         given = [kind for kind in kinds if getattr(self, kind) is not None]
         if self.at is not None and not given:
-            raise fault("goes with plane, which is not given", "at")
+            raise make_fault("goes with plane, which is not given", "at")
         if not given:
-            raise fault(f"no selector; give one of {', '.join(kinds)}")
+            raise make_fault(f"no selector; give one of {', '.join(kinds)}")
         if len(given) > 1:
-            raise fault(f"{given[0]} and {given[1]} exclude each other")
+            raise make_fault(f"{given[0]} and {given[1]} exclude each other")
         if (self.plane is None) != (self.at is None):
-            raise fault("missing" if self.at is None else "goes with plane, which is not given", "at")
+            raise make_fault("missing" if self.at is None else "goes with plane, which is not given", "at")
         return self
 
 
 class SupportSpec(SelectorSpec):
-    """Nodes that are held, or moved as `motion` says."""
+    """Nodes that are held, or moved."""
 
-    motion: MotionSpec | None = None
+    motion: Annotated[MotionSpec | None, about("how the nodes move; without it they stay at rest")] = None
 
 
 class TractionSpec(SelectorSpec):
-    """A traction [Pa] along the outward normal of the rest surface, where its nodes are selected."""
+    """A traction on the boundary faces whose nodes are all selected."""
 
-    normal_traction: Number
+    normal_traction: Annotated[FiniteNumber, about("traction along the outward normal of the rest surface", "Pa")]
 
 
 class BodyForceSpec(Spec):
-    """A force per volume [N/m3] and the factor it is multiplied by."""
+    """A force per volume."""
 
-    value: Vector
-    factor: Number = 1.0
+    value: Annotated[Vector, about("force per rest volume", "N/m3")]
+    factor: Annotated[FiniteNumber, about("factor that multiplies value")] = 1.0
 
 
-def _body_force(value: Any) -> Any:
+def _accept_bare_vector(value: Any) -> Any:
     return {"value": value} if isinstance(value, list | tuple) else value
 
 
 class LoadsSpec(Spec):
-    """Gravity [m/s2], body force, tractions."""
+    """Dead loads: they do not follow the deformation."""
 
-    gravity: Vector | None = None
-    body_force: Annotated[BodyForceSpec | None, BeforeValidator(_body_force)] = None
-    traction: tuple[TractionSpec, ...] = ()
+    gravity: Annotated[Vector | None, about("acceleration that acts on the density", "m/s2")] = None
+    body_force: Annotated[
+        BodyForceSpec | None,
+        BeforeValidator(_accept_bare_vector),
+        about("force per rest volume: a vector, or a table with value and factor", "N/m3"),
+    ] = None
+    traction: Annotated[tuple[TractionSpec, ...], about("tractions on parts of the boundary")] = ()
 
 
 class InitialSpec(Spec):
-    """The initial velocity [m/s] and spin, both multiplied by factor."""
+    """The initial motion; the body starts at its rest positions."""
 
-    velocity: Vector | None = None
-    spin: SpinSpec | None = None
-    factor: Number = 1.0
+    velocity: Annotated[Vector | None, about("initial velocity of the free nodes", "m/s")] = None
+    spin: Annotated[SpinSpec | None, about("initial rotation, added to the velocity")] = None
+    factor: Annotated[FiniteNumber, about("factor that multiplies velocity and spin")] = 1.0
 
 
 class MethodSpec(Spec):
-    """What is swapped between variants; names are keys of the tables in methods.py."""
+    """The numerical method; variants usually change these keys."""
 
-    model: Annotated[str, choice("fixed", "auto")] = "fixed"
-    volume_tolerance: Fraction = 0.01
-    law: Text = "corotational"
-    rotation: Text = "polar"
-    stepper: Text = "backward_euler"
-    iterations: Iterations = 1
-    mass: Annotated[str, choice("consistent", "lumped")] = "consistent"
-    linear_solver: Text = "auto"
-    linear_rtol: Fraction = 1e-8
-    tolerance: Fraction = 1e-9
-    max_iterations: Count = 100
-    tangent: Annotated[str, choice("projected", "exact", "frozen")] = "projected"
-    inversion: Text = "flip"
+    model: Annotated[
+        str, OneOf("fixed", "auto"), about("whether each step chooses its own model: linear, corotational…")
+    ] = "fixed"
+    volume_tolerance: Annotated[Fraction, about("spurious volume that a step may have with model = auto")] = 0.01
+    law: Annotated[Text, about("elastic law")] = "corotational"
+    rotation: Annotated[Text, about("rotation of a cell that the corotational law takes")] = "polar"
+    stepper: Annotated[Text, about("time integrator")] = "backward_euler"
+    iterations: Annotated[Iterations, about("linear solves per step, or converged")] = 1
+    mass: Annotated[str, OneOf("consistent", "lumped"), about("mass matrix")] = "consistent"
+    linear_solver: Annotated[Text, about("solver of the linear systems; auto chooses by size")] = "auto"
+    linear_rtol: Annotated[Fraction, about("relative residual at which iterative linear solvers stop")] = 1e-8
+    tolerance: Annotated[Fraction, about("relative residual at which Newton's method stops")] = 1e-9
+    max_iterations: Annotated[Count, about("Newton iterations after which a step fails")] = 100
+    tangent: Annotated[
+        str, OneOf("projected", "exact", "frozen"), about("tangent stiffness for iterations = converged")
+    ] = "projected"
+    inversion: Annotated[Text, about("rotation of inverted cells")] = "flip"
 
 
 class ScheduleSpec(Spec):
-    """Time step [s] and frames after the initial one; frame_interval [s] sets steps_per_frame."""
+    """The time steps, and how many of them are recorded."""
 
-    dt: Positive
-    steps_per_frame: Count = 1
-    frame_interval: Positive | None = None
-    frames: Count
+    dt: Annotated[Positive, about("time step", "s")]
+    steps_per_frame: Annotated[Count, about("steps between two recorded frames")] = 1
+    frame_interval: Annotated[
+        Positive | None, about("time between two frames, a multiple of dt; replaces steps_per_frame", "s")
+    ] = None
+    frames: Annotated[Count, about("frames after the initial one")]
 
     @model_validator(mode="before")
     @classmethod
-    def _one_rhythm(cls, value: Any) -> Any:
+    def _check_rhythm(cls, value: Any) -> Any:
         if isinstance(value, dict) and {"frame_interval", "steps_per_frame"} <= value.keys():
-            raise fault("frame_interval and steps_per_frame exclude each other")
+            raise make_fault("frame_interval and steps_per_frame exclude each other")
         return value
 
     @model_validator(mode="after")
-    def _whole_steps(self) -> "ScheduleSpec":
+    def _set_steps_per_frame(self) -> "ScheduleSpec":
         if self.frame_interval is None:
             return self
-        ratio = self.frame_interval / self.dt
-        steps = round(ratio) if ratio < 1e9 else 0
-        if steps < 1 or abs(ratio - steps) > INTERVAL_RTOL * ratio:
-            raise fault(f"{self.frame_interval} is not a multiple of dt = {self.dt}", "frame_interval")
+        steps = count_intervals(self.frame_interval, self.dt)
+        if steps is None:
+            raise make_fault(f"{self.frame_interval} is not a multiple of dt = {self.dt}", "frame_interval")
         return self.model_copy(update={"steps_per_frame": steps})
 
-    def implied(self) -> frozenset[str]:
+    def derived_keys(self) -> frozenset[str]:
         return frozenset() if self.frame_interval is None else frozenset({"steps_per_frame"})
 
 
 class OutputSpec(Spec):
-    """How frames are written; the wall time or the frames between two checkpoints, which no result depends on.
+    """How frames are written, and how often checkpoints are."""
 
-    With `precision` float32 the fields in the frames are rounded; statistics.nc is float64 always.
-    """
-
-    format: Annotated[str, choice("vtu", "vtkhdf")] = "vtu"
-    precision: Annotated[Literal["float64", "float32"], choice("float64", "float32")] = "float64"
-    checkpoint_seconds: Positive = 10.0
-    checkpoint_frames: Count | None = None
+    format: Annotated[str, OneOf("vtu", "vtkhdf"), about("format of the frames")] = "vtu"
+    precision: Annotated[
+        Literal["float64", "float32"],
+        OneOf("float64", "float32"),
+        about("precision of the fields in frames; datasets are float64 always"),
+    ] = "float64"
+    checkpoint_seconds: Annotated[Positive, about("wall time between two checkpoints", "s")] = 10.0
+    checkpoint_frames: Annotated[Count | None, about("frames between two checkpoints, in addition")] = None
 
 
 class MovieSpec(Spec):
-    """Which variants are drawn side by side and how; `speed` is movie time over simulated time."""
+    """The comparison movie."""
 
-    variants: tuple[Text, ...] = ()
-    speed: Positive = 1.0
-    fps: FrameRate = 30
-    size: Annotated[tuple[EvenCount, ...], entries(2, 2)] = (1280, 720)
-    title: Text | None = None
+    variants: Annotated[tuple[Text, ...], about("variants to draw side by side; all if not given")] = ()
+    speed: Annotated[Positive, about("simulated time per time of the movie")] = 1.0
+    fps: Annotated[FrameRate, about("pictures per second, 1 to 120", "1/s")] = 30
+    size: Annotated[PictureSize, about("width and height, even numbers", "pixel")] = (1280, 720)
+    title: Annotated[Text | None, about("title of the movie and the plots; the case's name if not given")] = None
 
 
 class CaseFile(Spec):
-    """All that a case file can say."""
+    """One scene and its variants."""
 
-    name: FolderName
-    mesh: MeshSpec
-    material: MaterialSpec
-    supports: tuple[SupportSpec, ...] = ()
-    loads: LoadsSpec = LoadsSpec()
-    initial: InitialSpec = InitialSpec()
-    method: MethodSpec = MethodSpec()
-    schedule: ScheduleSpec
-    output: OutputSpec = OutputSpec()
-    movie: MovieSpec = MovieSpec()
-    variants: dict[str, dict[str, Any]] = {}
+    name: Annotated[FolderName, about("name of the case and of its result folder")]
+    mesh: Annotated[MeshSpec, about("rest mesh")]
+    material: Annotated[MaterialSpec, about("material")]
+    supports: Annotated[tuple[SupportSpec, ...], about("sets of held nodes")] = ()
+    loads: Annotated[LoadsSpec, about("dead loads")] = LoadsSpec()
+    initial: Annotated[InitialSpec, about("initial motion")] = InitialSpec()
+    method: Annotated[MethodSpec, about("numerical method")] = MethodSpec()
+    schedule: Annotated[ScheduleSpec, about("time steps and frames")]
+    output: Annotated[OutputSpec, about("files of the frames")] = OutputSpec()
+    movie: Annotated[MovieSpec, about("comparison movie")] = MovieSpec()
+    variants: Annotated[
+        dict[str, dict[str, Any]], about("named changes of this case: dotted keys in quotes with their new values")
+    ] = {}
 
     @model_validator(mode="after")
-    def _movie_of_known_variants(self) -> "CaseFile":
+    def _check_movie(self) -> "CaseFile":
         known = tuple(self.variants) or (ONLY_VARIANT,)
         for index, name in enumerate(self.movie.variants):
             if name not in known:
                 message = f"no variant {quote_value(name)}; choose from {join_names(known)}"
-                raise fault(message, "movie", "variants", str(index))
+                raise make_fault(message, "movie", "variants", str(index))
             if name in self.movie.variants[:index]:
-                raise fault(f"{quote_value(name)} is listed twice", "movie", "variants", str(index))
+                raise make_fault(f"{quote_value(name)} is listed twice", "movie", "variants", str(index))
         return self
 
     @model_validator(mode="after")
-    def _variant_keys(self) -> "CaseFile":
+    def _check_variants(self) -> "CaseFile":
         for name, overrides in self.variants.items():
             try:
-                folder_name(name)
+                check_folder_name(name)
             except ValueError as error:
-                raise fault(str(error), "variants", name) from None
+                raise make_fault(str(error), "variants", name) from None
             for key in overrides:
                 section = key.split(".")[0]
                 if section in CaseFile.model_fields.keys() - set(VARIANT_SECTIONS):
                     message = f"a variant cannot change {section}, only {', '.join(VARIANT_SECTIONS)}"
-                    raise fault(message, "variants", name, key)
+                    raise make_fault(message, "variants", name, key)
         return self

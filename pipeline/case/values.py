@@ -1,37 +1,38 @@
-"""Types of a case file's values, each with its own message, which quotes the wrong value."""
+"""Types of the values in a case file, each with its own message that quotes the wrong value."""
 
 import math
 import re
 import tomllib
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, PlainValidator
-from pydantic_core import PydanticCustomError
+from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, PlainValidator, WithJsonSchema
+from pydantic_core import CoreSchema, PydanticCustomError
+from pydantic_core.core_schema import no_info_after_validator_function, no_info_plain_validator_function
 
 from pipeline.errors import quote_value, shorten
 
 # Counts and node numbers stay in 32 bits, as they do in VTK files and in compiled kernels.
 LARGEST_INTEGER = 2**31 - 1
-# Energies multiply six such numbers, which double precision holds.
+# Energies are products of six such numbers, which double precision can represent.
 LARGEST_NUMBER, SMALLEST_POSITIVE = 1e30, 1e-30
 FOLDER_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
-# what TOML asks for and other languages do not: digits on both sides of a point
+# TOML, unlike other languages, requires digits on both sides of a point.
 BEFORE_POINT, AFTER_POINT = re.compile(r"(?<![\w.])\.(?=\d)"), re.compile(r"(?<=\d)\.(?!\d)")
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def fault(message: str, *key: str) -> PydanticCustomError:
-    """The error to raise in a validator; `key` leads from the place of the validator to the faulty entry."""
+def make_fault(message: str, *key: str) -> PydanticCustomError:
+    """Return the error to raise in a validator; `key` is the path from the validated value to the faulty entry."""
     return PydanticCustomError("case", "{message}", {"message": message, "key": key})
 
 
-def dotted(parts: tuple[str, ...]) -> str:
-    """A key as it is written in TOML: parts joined by dots, quoted where a bare key would not do."""
+def join_key(parts: tuple[str, ...]) -> str:
+    """Return a key as TOML writes it: parts joined by dots, quoted if they are not bare keys."""
     return ".".join(shorten(part) if BARE_KEY.fullmatch(part) else f'"{shorten(part)}"' for part in parts)
 
 
-def as_toml(value: object) -> str:
-    """The words "; write ..." for a text that is a number or a list once its points have digits on both sides."""
+def suggest_toml(value: object) -> str:
+    """Return "; write ..." for a text that is a number or a list but for digits beside its points, else ""."""
     if not isinstance(value, str):
         return ""
     text = AFTER_POINT.sub(".0", BEFORE_POINT.sub("0.", value.strip()))
@@ -43,145 +44,177 @@ def as_toml(value: object) -> str:
     return f"; write {shorten(text)}" if finite or isinstance(meant, list) else ""
 
 
-def _number(value: Any) -> float:
+def _check_number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise fault(f"{quote_value(value)} is not a number{as_toml(value)}")
+        raise make_fault(f"{quote_value(value)} is not a number{suggest_toml(value)}")
     try:
         number = float(value)
     except OverflowError:
-        raise fault(f"{quote_value(value)} is too large") from None
+        raise make_fault(f"{quote_value(value)} is too large") from None
     if not math.isfinite(number):
-        raise fault(f"{quote_value(value)} is not finite")
+        raise make_fault(f"{quote_value(value)} is not finite")
     if abs(number) > LARGEST_NUMBER:
-        raise fault(f"{quote_value(value)} is too large; numbers go up to {LARGEST_NUMBER:g}")
+        raise make_fault(f"{quote_value(value)} is too large; numbers go up to {LARGEST_NUMBER:g}")
     return number
 
 
-def _positive(value: Any) -> float:
-    number = _number(value)
+def _check_positive(value: Any) -> float:
+    number = _check_number(value)
     if number <= 0:
-        raise fault(f"{quote_value(value)} is not positive")
+        raise make_fault(f"{quote_value(value)} is not positive")
     if number < SMALLEST_POSITIVE:
-        raise fault(f"{quote_value(value)} is too small; positive numbers start at {SMALLEST_POSITIVE:g}")
+        raise make_fault(f"{quote_value(value)} is too small; positive numbers start at {SMALLEST_POSITIVE:g}")
     return number
 
 
-def _fraction(value: Any) -> float:
-    number = _number(value)
+def _check_fraction(value: Any) -> float:
+    number = _check_number(value)
     if not SMALLEST_POSITIVE <= number < 1:
-        raise fault(f"{quote_value(value)} is not between 0 and 1")
+        raise make_fault(f"{quote_value(value)} is not between 0 and 1")
     return number
 
 
-def _poisson_ratio(value: Any) -> float:
-    number = _number(value)
+def _check_poisson_ratio(value: Any) -> float:
+    number = _check_number(value)
     if number >= 0.5:
-        raise fault(f"{quote_value(value)} is not below 0.5")
+        raise make_fault(f"{quote_value(value)} is not below 0.5")
     if number <= -1:
-        raise fault(f"{quote_value(value)} is not above -1")
+        raise make_fault(f"{quote_value(value)} is not above -1")
     return number
 
 
-def integer(value: Any) -> int:
-    """The value, if it is an integer of a sane size; 2.0 and true are none."""
+def check_integer(value: Any) -> int:
+    """Return the value if it is an integer of 32 bits; 2.0 and true are not integers."""
     if isinstance(value, bool) or not isinstance(value, int):
-        raise fault(f"{quote_value(value)} is not an integer")
+        raise make_fault(f"{quote_value(value)} is not an integer")
     if abs(value) > LARGEST_INTEGER:
-        raise fault(f"{quote_value(value)} is too large")
+        raise make_fault(f"{quote_value(value)} is too large")
     return value
 
 
-def _count(value: Any) -> int:
-    if integer(value) < 1:
-        raise fault(f"{value} is not positive")
+def _check_count(value: Any) -> int:
+    if check_integer(value) < 1:
+        raise make_fault(f"{value} is not positive")
     return int(value)
 
 
-def _node_number(value: Any) -> int:
-    if integer(value) < 0:
-        raise fault(f"{value} is negative; nodes are counted from 0")
+def _check_node_number(value: Any) -> int:
+    if check_integer(value) < 0:
+        raise make_fault(f"{value} is negative; nodes are counted from 0")
     return int(value)
 
 
-def _iterations(value: Any) -> Any:
+def _check_iterations(value: Any) -> Any:
     counted = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= LARGEST_INTEGER
     if counted or value == "converged":
         return value
-    raise fault(f'{quote_value(value)} is not a positive integer or "converged"')
+    raise make_fault(f'{quote_value(value)} is not a positive integer or "converged"')
 
 
-def _text(value: Any) -> str:
+def _check_text(value: Any) -> str:
     if not isinstance(value, str):
-        raise fault(f"{quote_value(value)} is not a string")
+        raise make_fault(f"{quote_value(value)} is not a string")
     if not value:
-        raise fault("is empty")
+        raise make_fault("is empty")
     if not value.isprintable():
-        raise fault(f"{quote_value(value)} has unprintable characters")
+        raise make_fault(f"{quote_value(value)} has unprintable characters")
     return value
 
 
-def folder_name(value: Any) -> str:
-    """The value, if it can name a folder on every system."""
-    if not FOLDER_NAME.fullmatch(_text(value)):
+def check_folder_name(value: Any) -> str:
+    """Return the value if it can name a folder on every system."""
+    if not FOLDER_NAME.fullmatch(_check_text(value)):
         wanted = "use up to 100 letters, digits, _, - and ., not starting with ."
-        raise fault(f"{quote_value(value)} cannot name a folder; {wanted}")
+        raise make_fault(f"{quote_value(value)} cannot name a folder; {wanted}")
     return str(value)
 
 
-def choice(*names: str) -> PlainValidator:
-    """A validator that lets one of the names pass."""
+class OneOf:
+    """Annotation of a text that is one of some names."""
 
-    def chosen(value: Any) -> str:
-        if not isinstance(value, str) or value not in names:
-            raise fault(f"{quote_value(value)} is not one of {', '.join(names)}")
+    def __init__(self, *names: str) -> None:
+        self.names = names
+
+    def check(self, value: Any) -> str:
+        """Return the value; raises a fault that lists the names."""
+        if not isinstance(value, str) or value not in self.names:
+            raise make_fault(f"{quote_value(value)} is not one of {', '.join(self.names)}")
         return value
 
-    return PlainValidator(chosen)
+    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_plain_validator_function(self.check)
+
+    def __get_pydantic_json_schema__(self, _schema: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"type": "string", "enum": list(self.names)}
 
 
-def entries(least: int, most: int | None = None) -> AfterValidator:
-    """A validator of a list's length."""
-    wanted = str(least) if most == least else f"{least} or {most}"
+class Length:
+    """Annotation of a list that has `least` to `most` entries."""
 
-    def counted(values: tuple[Any, ...]) -> tuple[Any, ...]:
-        if most is None and len(values) < least:
-            raise fault("is empty")
-        if most is not None and not least <= len(values) <= most:
-            raise fault(f"has {len(values)} {'entry' if len(values) == 1 else 'entries'}, not {wanted}")
+    def __init__(self, least: int, most: int | None = None) -> None:
+        self.least, self.most = least, most
+
+    def check(self, values: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return the list; raises a fault with both numbers."""
+        if self.most is None and len(values) < self.least:
+            raise make_fault("is empty")
+        if self.most is not None and not self.least <= len(values) <= self.most:
+            wanted = str(self.least) if self.most == self.least else f"{self.least} or {self.most}"
+            raise make_fault(f"has {len(values)} {'entry' if len(values) == 1 else 'entries'}, not {wanted}")
         return values
 
-    return AfterValidator(counted)
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_after_validator_function(self.check, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        limits = {"minItems": self.least} | ({} if self.most is None else {"maxItems": self.most})
+        return handler(schema) | limits
 
 
-def _direction(values: tuple[float, ...]) -> tuple[float, ...]:
+def _check_direction(values: tuple[float, ...]) -> tuple[float, ...]:
     if not any(values):
-        raise fault("a zero vector is not a direction")
+        raise make_fault("a zero vector is not a direction")
     return values
 
 
-def _even(value: Any) -> int:
-    if _count(value) % 2:
-        raise fault(f"{value} is not even; video encoders need it")
+def _check_even(value: Any) -> int:
+    if _check_count(value) % 2:
+        raise make_fault(f"{value} is not even; video encoders need it")
     return int(value)
 
 
-def _frame_rate(value: Any) -> int:
-    if not 1 <= integer(value) <= 120:
-        raise fault(f"{value} is not between 1 and 120")
+def _check_frame_rate(value: Any) -> int:
+    if not 1 <= check_integer(value) <= 120:
+        raise make_fault(f"{value} is not between 1 and 120")
     return int(value)
 
 
-Number = Annotated[float, PlainValidator(_number)]
-Positive = Annotated[float, PlainValidator(_positive)]
-Fraction = Annotated[float, PlainValidator(_fraction)]
-PoissonRatio = Annotated[float, PlainValidator(_poisson_ratio)]
-Count = Annotated[int, PlainValidator(_count)]
-NodeNumber = Annotated[int, PlainValidator(_node_number)]
-Iterations = Annotated[int | str, PlainValidator(_iterations)]
-EvenCount = Annotated[int, PlainValidator(_even)]
-FrameRate = Annotated[int, PlainValidator(_frame_rate)]
-Text = Annotated[str, PlainValidator(_text)]
-FolderName = Annotated[str, PlainValidator(folder_name)]
-AxisName = Annotated[str, choice("x", "y", "z")]
-Vector = Annotated[tuple[Number, ...], entries(2, 3)]
-Direction = Annotated[tuple[Number, ...], entries(3, 3), AfterValidator(_direction)]
+def _as_json(kind: str, **limits: Any) -> WithJsonSchema:
+    """Return how the JSON Schema describes a type that has a validator of its own."""
+    return WithJsonSchema({"type": kind, **limits})
+
+
+FiniteNumber = Annotated[float, PlainValidator(_check_number), _as_json("number")]
+Positive = Annotated[float, PlainValidator(_check_positive), _as_json("number", exclusiveMinimum=0)]
+Fraction = Annotated[float, PlainValidator(_check_fraction), _as_json("number", exclusiveMinimum=0, exclusiveMaximum=1)]
+PoissonRatio = Annotated[
+    float, PlainValidator(_check_poisson_ratio), _as_json("number", exclusiveMinimum=-1, exclusiveMaximum=0.5)
+]
+Count = Annotated[int, PlainValidator(_check_count), _as_json("integer", minimum=1)]
+NodeNumber = Annotated[int, PlainValidator(_check_node_number), _as_json("integer", minimum=0)]
+Iterations = Annotated[
+    int | str,
+    PlainValidator(_check_iterations),
+    WithJsonSchema({"anyOf": [{"type": "integer", "minimum": 1}, {"const": "converged"}]}),
+]
+EvenCount = Annotated[int, PlainValidator(_check_even), _as_json("integer", minimum=2, multipleOf=2)]
+FrameRate = Annotated[int, PlainValidator(_check_frame_rate), _as_json("integer", minimum=1, maximum=120)]
+Text = Annotated[str, PlainValidator(_check_text), _as_json("string", minLength=1)]
+FolderName = Annotated[str, PlainValidator(check_folder_name), _as_json("string", pattern=f"^{FOLDER_NAME.pattern}$")]
+AxisName = Annotated[str, OneOf("x", "y", "z")]
+Vector = Annotated[tuple[FiniteNumber, ...], Length(2, 3)]
+Direction = Annotated[tuple[FiniteNumber, ...], Length(3, 3), AfterValidator(_check_direction)]
+Lengths = Annotated[tuple[Positive, ...], Length(2, 3)]
+Counts = Annotated[tuple[Count, ...], Length(2, 3)]
+NodeNumbers = Annotated[tuple[NodeNumber, ...], Length(1)]
+PictureSize = Annotated[tuple[EvenCount, ...], Length(2, 2)]

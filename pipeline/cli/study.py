@@ -105,7 +105,9 @@ def _tradeoff_cases(options: argparse.Namespace) -> list[Case]:
     names = [case.name for case in cases.values()]
     for case in cases.values():
         if names.count(case.name) > 1:
-            raise case.error("name", f"{quote_value(case.name)} is the name of another case too: one folder for both")
+            raise case.make_error(
+                "name", f"{quote_value(case.name)} is the name of another case too: one folder for both"
+            )
     return list(cases.values())
 
 

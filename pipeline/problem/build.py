@@ -46,7 +46,7 @@ def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
     if case.variant_name is None and len(case.variant_names) == 1:
         case = case.variant(case.variant_names[0])
     elif case.variant_name is None:
-        raise case.error("variants", f"choose one with case.variant(name): {join_names(case.variant_names)}")
+        raise case.make_error("variants", f"choose one with case.variant(name): {join_names(case.variant_names)}")
     case = settled(case)
     _check_method(case)
     mesh_notes: list[str] = []
@@ -57,7 +57,7 @@ def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
     law = Corotational(material) if auto else LAWS[case.method.law](material, ROTATIONS[case.method.rotation])
     body = make_body(mesh, law, supports(case, mesh), dead_load(case, mesh), MASSES[case.method.mass])
     if not body.free.size:
-        raise case.error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
+        raise case.make_error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
     _check_step(case, body)
     s = case.schedule
     start = initial_state(case, body)
@@ -75,7 +75,7 @@ def build_mesh(case: Case, *, note: Callable[[str], object] | None = None) -> Me
         assert spec.size is not None and spec.cells is not None
         return SHAPES[_chosen(case, "mesh.shape", spec.shape, SHAPES)](spec.size, spec.cells, spec.split)
     except MeshError as error:
-        raise case.error("mesh", str(error)) from error
+        raise case.make_error("mesh", str(error)) from error
 
 
 def settled(case: Case) -> Case:
@@ -85,7 +85,7 @@ def settled(case: Case) -> Case:
         return case
     inherited = "method.stepper" in case.own_keys and "method.mass" not in case.own_keys
     if "mass" in method.model_fields_set and not inherited:
-        raise case.error("method.mass", "symplectic_euler takes 'lumped'")
+        raise case.make_error("method.mass", "symplectic_euler takes 'lumped'")
     note = "method.mass is lumped, as symplectic_euler takes it"
     lumped = method.model_copy(update={"mass": "lumped"})
     return case.model_copy(update={"method": lumped, "notes": (*case.notes, note)})
@@ -106,17 +106,17 @@ def _check_method(case: Case) -> None:
         _chosen(case, f"method.{key}", getattr(method, key), table)
     if method.model == "auto":
         if method.stepper in STEP_LIMITS or method.inversion != "flip":
-            raise case.error("method.model", "'auto' goes with implicit steppers and inversion = 'flip'")
+            raise case.make_error("method.model", "'auto' goes with implicit steppers and inversion = 'flip'")
         return
     if INVERSIONS[method.inversion] is not None and (
         method.law == "linear" or method.rotation != "polar" or method.iterations != 1
     ):
         needed = "the corotational law with polar rotations and iterations = 1"
-        raise case.error("method.inversion", f"{method.inversion!r} has a memory: it goes with {needed}")
+        raise case.make_error("method.inversion", f"{method.inversion!r} has a memory: it goes with {needed}")
     if method.law == "linear" or method.stepper in STEP_LIMITS:
         return
     if method.iterations == "converged" and method.rotation != "polar":
-        raise case.error(
+        raise case.make_error(
             "method.iterations", f"'converged' needs a potential, which {method.rotation} has not; use polar"
         )
 
@@ -131,7 +131,7 @@ def _check_step(case: Case, body: Body) -> None:
         return
     limit = limit_of(body)
     if dt >= limit:
-        raise case.error(
+        raise case.make_error(
             "schedule.dt",
             f"{dt:g} is above the limit of {case.method.stepper}: {limit:.4g} s for this body, "
             f"{bound:.4g} s by the bound over its cells",
@@ -140,7 +140,7 @@ def _check_step(case: Case, body: Body) -> None:
 
 def _chosen(case: Case, key: str, name: str, table: Mapping[str, Any]) -> str:
     if name not in table:
-        raise case.error(key, f"{quote_value(name)} is not one of {', '.join(table)}")
+        raise case.make_error(key, f"{quote_value(name)} is not one of {', '.join(table)}")
     return name
 
 

@@ -21,7 +21,7 @@ def vector(case: Case, key: str, value: tuple[float, ...] | None, d: int) -> Flo
     if value is None:
         return np.zeros(d)
     if len(value) != d:
-        raise case.error(key, f"{list(value)} has {len(value)} components, the mesh has {d} dimensions")
+        raise case.make_error(key, f"{list(value)} has {len(value)} components, the mesh has {d} dimensions")
     return np.array(value, dtype=np.float64)
 
 
@@ -32,7 +32,7 @@ def selected_nodes(case: Case, key: str, selector: Any, mesh: Mesh) -> Ints:
     for name in ("plane", "below", "above"):
         chosen = getattr(selector, name)
         if chosen is not None and AXES[chosen if name == "plane" else chosen.axis] >= mesh.dimension:
-            raise case.error(f"{key}.{name}", "'z' is not an axis of a planar mesh")
+            raise case.make_error(f"{key}.{name}", "'z' is not an axis of a planar mesh")
     if selector.plane is not None:
         mask = np.abs(X[:, AXES[selector.plane]] - selector.at) <= reach
     elif selector.box is not None:
@@ -49,13 +49,13 @@ def selected_nodes(case: Case, key: str, selector: Any, mesh: Mesh) -> Ints:
         return _listed_nodes(case, key, selector.nodes, len(X))
     if not mask.any():
         low, high = X.min(axis=0), X.max(axis=0)
-        raise case.error(key, f"selects no node; the mesh spans {low.tolist()} to {high.tolist()}")
+        raise case.make_error(key, f"selects no node; the mesh spans {low.tolist()} to {high.tolist()}")
     return np.flatnonzero(mask)
 
 
 def _listed_nodes(case: Case, key: str, nodes: tuple[int, ...], count: int) -> Ints:
     if max(nodes) >= count:
-        raise case.error(f"{key}.nodes", f"{max(nodes)} is not a node; the mesh has {count}, counted from 0")
+        raise case.make_error(f"{key}.nodes", f"{max(nodes)} is not a node; the mesh has {count}, counted from 0")
     return np.unique(np.array(nodes, dtype=np.int64))
 
 
@@ -67,7 +67,7 @@ def supports(case: Case, mesh: Mesh) -> Supports:
     for i, (spec, nodes) in enumerate(zip(case.supports, held, strict=True)):
         twice = nodes[taken[nodes] >= 0]
         if twice.size and (spec.motion or case.supports[taken[twice[0]]].motion):
-            raise case.error(f"supports.{i}", f"node {twice[0]} is held by supports.{taken[twice[0]]} already")
+            raise case.make_error(f"supports.{i}", f"node {twice[0]} is held by supports.{taken[twice[0]]} already")
         taken[nodes] = i
         if spec.motion is not None:
             motions.append((nodes, _motion(case, f"supports.{i}.motion", spec.motion, mesh)))
@@ -81,7 +81,7 @@ def _motion(case: Case, key: str, spec: Any, mesh: Mesh) -> Motion:
         return Motion(velocity, np.array([0.0, 0.0, 1.0]), 0.0, np.zeros(d))
     axis = _axis(case, f"{key}.spin", spec.spin, d)
     if spec.spin.center is None:
-        raise case.error(f"{key}.spin.center", "missing: the point that the supports turn about")
+        raise case.make_error(f"{key}.spin.center", "missing: the point that the supports turn about")
     center = vector(case, f"{key}.spin.center", spec.spin.center, d)
     return Motion(velocity, axis, float(np.radians(spec.spin.rate)), center)
 
@@ -90,7 +90,7 @@ def _axis(case: Case, key: str, spin: SpinSpec, d: int) -> Floats:
     """Return the unit axis (3,); in the plane it must be along z."""
     axis = np.array(spin.axis, dtype=np.float64)
     if d == 2 and axis[:2].any():
-        raise case.error(f"{key}.axis", f"{list(spin.axis)} is not along z; the mesh is planar")
+        raise case.make_error(f"{key}.axis", f"{list(spin.axis)} is not along z; the mesh is planar")
     axis /= np.abs(axis).max()  # squares of what is tiny are zero
     return np.asarray(axis / np.linalg.norm(axis))
 
@@ -109,7 +109,7 @@ def dead_load(case: Case, mesh: Mesh) -> Floats:
         chosen[selected_nodes(case, f"loads.traction.{i}", spec, mesh)] = True
         loaded = faces[chosen[faces].all(axis=1)]
         if not len(loaded):
-            raise case.error(f"loads.traction.{i}", "its nodes are not the corners of any boundary face")
+            raise case.make_error(f"loads.traction.{i}", "its nodes are not the corners of any boundary face")
         f += normal_traction(mesh, loaded, spec.normal_traction)
     return f
 

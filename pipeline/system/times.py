@@ -4,14 +4,18 @@ Times are products i * dt, sums of steps or decimals read from a file. They diff
 the 1e-9 of their size that is allowed here, and frames are farther apart than that by orders of magnitude.
 """
 
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 TIME_RTOL = 1e-9
 
 
-def are_same_times(a: ArrayLike, b: ArrayLike) -> bool:
+def are_same_times(a: "ArrayLike", b: "ArrayLike") -> bool:
     """Return whether two times, or two sequences of times, are equal to 1e-9 of the largest of them."""
+    import numpy as np  # case files are checked without it
+
     first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     if first.shape != second.shape:
         return False
@@ -22,5 +26,7 @@ def are_same_times(a: ArrayLike, b: ArrayLike) -> bool:
 def count_intervals(span: float, interval: float) -> int | None:
     """Return how many intervals make up a span, None unless it is a whole number of at least one."""
     ratio = span / interval
+    if not ratio < 1 / TIME_RTOL:  # an interval is less than the tolerance
+        return None
     count = round(ratio)
     return count if count >= 1 and abs(ratio - count) <= TIME_RTOL * ratio else None

@@ -40,7 +40,7 @@ def _digest(case: Case, path: Path) -> str:
     try:
         return sha256(path.read_bytes()).hexdigest()
     except OSError as error:
-        raise case.error("mesh.file", f"{path}: cannot be read ({error.strerror})") from error
+        raise case.make_error("mesh.file", f"{path}: cannot be read ({error.strerror})") from error
 
 
 def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -135,7 +135,7 @@ def planned(
     end = schedule.dt * (own if steps is None else min(steps, own))
     count = int(end / ladder[0] * (1 + _WHOLE))
     if count < 1:
-        raise case.error(
+        raise case.make_error(
             "schedule.frames", f"{end:g} s are shorter than the longest step of the study, {ladder[0]:g} s"
         )
     stride = ceil(count / _MOST_FRAMES)
@@ -152,10 +152,10 @@ def _ladder(case: Case, asked: Sequence[float], usual: Sequence[float]) -> tuple
     ladder = tuple(sorted(set(asked or usual), reverse=True))
     for dt in ladder:
         if not 0 < dt < float("inf"):
-            raise case.error("schedule.dt", f"--dt {dt:g} is not a positive number of seconds")
+            raise case.make_error("schedule.dt", f"--dt {dt:g} is not a positive number of seconds")
         ratio = ladder[0] / dt
         if abs(ratio - round(ratio)) > _WHOLE * ratio:
-            raise case.error(
+            raise case.make_error(
                 "schedule.dt", f"--dt {dt:g} does not divide the longest one, {ladder[0]:g}: no common instants"
             )
     return ladder
@@ -164,10 +164,12 @@ def _ladder(case: Case, asked: Sequence[float], usual: Sequence[float]) -> tuple
 def _meshes(case: Case, asked: Sequence[int], quick: bool) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """Return the refinements that can be compared, 1 first, and notes of what is not available."""
     if any(factor < 1 for factor in asked):
-        raise case.error("mesh.cells", f"--refine {min(asked)}: factors are whole numbers from 1 on")
+        raise case.make_error("mesh.cells", f"--refine {min(asked)}: factors are whole numbers from 1 on")
     odd = [factor for factor in asked if max(asked) % factor]
     if odd:
-        raise case.error("mesh.cells", f"--refine {odd[0]} does not divide the largest, {max(asked)}: no common nodes")
+        raise case.make_error(
+            "mesh.cells", f"--refine {odd[0]} does not divide the largest, {max(asked)}: no common nodes"
+        )
     reason = None
     if case.mesh.shape is None:
         reason = "its mesh is a file, which is not refined here"
