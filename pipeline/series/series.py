@@ -67,7 +67,7 @@ class Series:
         return Frame(index, self.times[index], self.mesh, x, step=step, v=self._velocity(grid), known=known)
 
     def read_positions(self, index: int, grid: Grid | None = None) -> Floats:
-        """Return the positions (n, d) of one frame alone, read from its file now; raises SeriesError as `read_frame`."""
+        """Return the positions (n, d) of one frame, read from its file now; raises SeriesError as `read_frame`."""
         where = f"{self.files[index]}, t = {self.times[index]:g} s"
         return self.layout.positions(self.read_grid(index) if grid is None else grid, where)
 
@@ -81,7 +81,7 @@ class Series:
     @cached_property
     def layout(self) -> SeriesLayout:
         """Return how the files are understood; reads the first frame, and two more where it is not clear from that."""
-        return infer_layout(self.grid, len(self), self.options, str(self.files[0]))
+        return infer_layout(self.read_grid, len(self), self.options, str(self.files[0]))
 
     @property
     def mesh(self) -> Mesh:
