@@ -409,8 +409,8 @@ def fields(folder):
 def test_a_series_is_a_lazy_dataset(tmp_path, monkeypatch):
     path = fields(tmp_path)
     read = []
-    original = Series.grid
-    monkeypatch.setattr(Series, "grid", lambda self, i: read.append(i) or original(self, i))
+    original = Series.read_grid
+    monkeypatch.setattr(Series, "read_grid", lambda self, i: read.append(i) or original(self, i))
     dataset = opened(path)
     read.clear()
     assert dict(dataset.sizes) == {
