@@ -5,8 +5,18 @@ Names of laws, steppers and shapes are free here: the tables in problem/methods.
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema
+from pydantic_core.core_schema import no_info_before_validator_function
 
 from pipeline.case.values import (
     AxisName,
@@ -187,8 +197,19 @@ class BodyForceSpec(Spec):
     factor: Annotated[FiniteNumber, about("factor that multiplies value")] = 1.0
 
 
-def _accept_bare_vector(value: Any) -> Any:
-    return {"value": value} if isinstance(value, list | tuple) else value
+class BareVector:
+    """Annotation of a table that a vector, its value, can stand for."""
+
+    def check(self, value: Any) -> Any:
+        """Return the table."""
+        return {"value": value} if isinstance(value, list | tuple) else value
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_before_validator_function(self.check, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        vector = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 3}
+        return {"anyOf": [vector, *handler(schema)["anyOf"]]}
 
 
 class LoadsSpec(Spec):
@@ -197,7 +218,7 @@ class LoadsSpec(Spec):
     gravity: Annotated[Vector | None, about("acceleration that acts on the density", "m/s2")] = None
     body_force: Annotated[
         BodyForceSpec | None,
-        BeforeValidator(_accept_bare_vector),
+        BareVector(),
         about("force per rest volume: a vector, or a table with value and factor", "N/m3"),
     ] = None
     traction: Annotated[tuple[TractionSpec, ...], about("tractions on parts of the boundary")] = ()

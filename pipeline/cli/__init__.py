@@ -5,8 +5,8 @@ import logging
 import os
 from collections.abc import Sequence
 
+from pipeline.cli import reference, scenes, series, study
 from pipeline.cli import report as page
-from pipeline.cli import scenes, series, study
 from pipeline.cli.terminal import say
 from pipeline.errors import PipelineError
 from pipeline.system.version import VERSION
@@ -46,6 +46,6 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="pipeline", description="Volume drift of deformable solids.")
     parser.add_argument("--version", action="version", version=f"pipeline {VERSION}")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
-    for module in (scenes, study, series, page):
+    for module in (scenes, study, series, page, reference):
         module.add_verbs(verbs, common)
     return parser
