@@ -9,7 +9,7 @@ PARAVIEW_PACKAGES := paraview python3-paraview xvfb xauth
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run report bench test test-web test-paraview browser quick fuzz lint clean
+.PHONY: schema help setup run report bench test test-web test-paraview browser quick fuzz lint clean
 
 help: ## Show this list
 	@echo "usage: make TARGET [PYTHON=python3.12] [WORKERS=4]"
@@ -78,6 +78,9 @@ lint: .venv/installed ## ruff check, ruff format --check, mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+schema: setup ## Write cases/case.schema.json and the tables of docs/case_files.md again
+	$(BIN)/python -m tools.write_schema
 
 clean: ## Remove .venv, caches and build leftovers; results in outputs/ stay
 	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

@@ -24,8 +24,7 @@ def case_schema() -> dict[str, Any]:
             properties = _resolve(schema["properties"][section], definitions)["properties"]
             properties[name] |= {"enum": list(choices), "enumDescriptions": list(choices.values())}
     changes = {
-        key: {"description": entry.get("description", "")}
-        | {k: entry[k] for k in ("type", "enum", "$ref", "anyOf") if k in entry}
+        key: {name: entry[name] for name in ("description", "type", "enum", "$ref", "anyOf", "items") if name in entry}
         for key, entry in iterate_keys(schema)
         if key.split(".")[0] in VARIANT_SECTIONS and "[]" not in key
     }
