@@ -9,7 +9,7 @@ PARAVIEW_PACKAGES := paraview python3-paraview xvfb xauth
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS)
 
 .DEFAULT_GOAL := help
-.PHONY: schema help setup run report bench test test-web test-paraview browser quick fuzz lint clean
+.PHONY: docs schema help setup run report bench test test-web test-paraview browser quick fuzz lint clean
 
 help: ## Show this list
 	@echo "usage: make TARGET [PYTHON=python3.12] [WORKERS=4]"
@@ -79,11 +79,15 @@ lint: .venv/installed ## ruff check, ruff format --check, mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: setup ## Build the site into docs/_build/html; a warning is an error
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	@echo "open docs/_build/html/index.html"
+
 schema: setup ## Write cases/case.schema.json and the tables of docs/case_files.md again
 	$(BIN)/python -m tools.write_schema
 
 clean: ## Remove .venv, caches and build leftovers; results in outputs/ stay
-	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf .venv build dist docs/_build docs/_generated *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find pipeline tests -type d -name __pycache__ -prune -exec rm -rf {} +
 
 # Made anew when the requirements change.
