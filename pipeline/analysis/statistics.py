@@ -1,17 +1,12 @@
 """Datasets of volume statistics: of one series, and of several variants joined along `variant`."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.errors import SeriesError
-from pipeline.formats.atomic import whole_file
 from pipeline.run.measures import AXES, QUANTILES, VARIABLES, attributes, measure
 from pipeline.series import Series
-from pipeline.sinks.netcdf import ALONE
 
 if TYPE_CHECKING:
     import xarray
@@ -38,32 +33,6 @@ def series_statistics(series: Series) -> "xarray.Dataset":
         {name: (name, np.array(values), attributes(name, d)) for name, values in coordinates.items()},
         {"Conventions": "CF-1.11", "title": series.name},
     )
-
-
-def read_statistics(path: Path) -> "xarray.Dataset":
-    """Return the dataset of a statistics.nc, loaded and closed; raises SeriesError where it cannot be read."""
-    try:
-        with opened(path) as dataset:
-            return dataset.load()
-    except (OSError, ValueError) as error:
-        raise SeriesError(f"{path}: cannot be read ({error})") from error
-
-
-@contextmanager
-def opened(path: Path) -> "Iterator[xarray.Dataset]":
-    """Yield a netCDF file whose numbers are read when they are asked for; raises SeriesError where it cannot be opened.
-
-    Other threads wait for their turn meanwhile.
-    """
-    import xarray
-
-    with ExitStack() as stack:
-        stack.enter_context(ALONE)
-        try:
-            dataset = stack.enter_context(xarray.open_dataset(path, engine="netcdf4"))
-        except (OSError, ValueError) as error:
-            raise SeriesError(f"{path}: cannot be read ({error})") from error
-        yield dataset
 
 
 def joined(datasets: Mapping[str, "xarray.Dataset"], *, title: str) -> tuple["xarray.Dataset", list[str]]:
@@ -97,11 +66,3 @@ def joined(datasets: Mapping[str, "xarray.Dataset"], *, title: str) -> tuple["xa
     out.encoding["unlimited_dims"] = {"time"}
     out.attrs = {"Conventions": "CF-1.11", "title": title}
     return out, notes
-
-
-def write_dataset(dataset: "xarray.Dataset", path: Path) -> None:
-    """Write a dataset as one whole netCDF file; raises OutputError."""
-    with ALONE, whole_file(path) as hidden:
-        # CF allows no fill value on a coordinate; xarray writes one on every float
-        bare = {str(name): {"_FillValue": None} for name in dataset.coords}
-        dataset.to_netcdf(hidden, engine="netcdf4", format="NETCDF4", encoding=bare)

@@ -13,10 +13,10 @@ from pipeline.errors import MeshError, shorten
 
 SIMPLICES = {2: "triangle", 3: "tetra"}  # meshio's names
 # kind, dimension, count, and the nodes (count, corners) where they are linear simplices
-Block = tuple[str, int, int, Any]
+CellBlock = tuple[str, int, int, Any]
 
 
-def plain_mesh(path: Path) -> tuple[Any, list[Block], str]:
+def plain_mesh(path: Path) -> tuple[Any, list[CellBlock], str]:
     """Return points (n, 2 or 3), the blocks of cells, and what meshio would have printed; raises MeshError.
 
     meshio prints, warns and, where no reader takes the file, exits; its readers raise whatever their parser does.
@@ -38,7 +38,7 @@ def plain_mesh(path: Path) -> tuple[Any, list[Block], str]:
     return points, blocks, " ".join(said.getvalue().split())
 
 
-def _block(block: Any) -> Block:
+def _block(block: Any) -> CellBlock:
     simplices = block.type in SIMPLICES.values()
     cells = np.ascontiguousarray(block.data, dtype=np.int64) if simplices else None
     return str(block.type), int(block.dim), len(block.data), cells

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Fields, Floats, Ints
 from pipeline.errors import SeriesError, shorten
-from pipeline.formats.vtu_read import Arrays, inline_file
+from pipeline.formats.cell_types import CELL_TYPES, CORNERS
+from pipeline.formats.vtu_read import LazyArrays, inline_file
 
-_CORNERS = {10: 4, 5: 3}  # of VTK's tetrahedron and triangle, the cells that are measured
 SUFFIXES = (".vtu", ".pvtu", ".vtk", ".vtp")  # of files that hold one instant
 
 
@@ -26,10 +26,10 @@ SUFFIXES = (".vtu", ".pvtu", ".vtk", ".vtp")  # of files that hold one instant
 class Grid:
     """Points (n, 3), cells in VTK's way (types, offsets, connectivity) and the fields of one instant.
 
-    Points that are given as Arrays (by the name Points) are decoded when they are asked for; `count` is their number.
+    `located` are the points, or LazyArrays that decode them by the name Points; `count` is their number.
     """
 
-    located: Floats | Arrays
+    located: Floats | LazyArrays
     count: int
     types: NDArray[np.uint8]
     offsets: Ints
@@ -41,7 +41,7 @@ class Grid:
     @property
     def points(self) -> Floats:
         """Return the points (n, 3)."""
-        if isinstance(self.located, Arrays):
+        if isinstance(self.located, LazyArrays):
             return self.located["Points"].astype(np.float64, copy=False)
         return self.located
 
@@ -49,7 +49,7 @@ class Grid:
     def nbytes(self) -> int:
         """Return how many bytes its points and fields hold; its cells are not counted, see sharing."""
         fields = (self.point_data, self.cell_data, self.field_data)
-        held = (f.nbytes if isinstance(f, Arrays) else sum(a.nbytes for a in f.values()) for f in fields)
+        held = (f.nbytes if isinstance(f, LazyArrays) else sum(a.nbytes for a in f.values()) for f in fields)
         return self.located.nbytes + sum(held)
 
     def sharing(self, other: "Grid") -> "Grid":
@@ -74,7 +74,7 @@ def inline_grid(file: Path) -> Grid | None:
     found = inline_file(file) if file.suffix == ".vtu" else None
     if found is None:
         return None
-    return Grid(Arrays(file, {"Points": found.points}), found.points.shape[0], *found.cells, *found.sections)
+    return Grid(LazyArrays(file, {"Points": found.points}), found.points.shape[0], *found.cells, *found.sections)
 
 
 def read_grid(file: Path, step: int = 0) -> Grid:
@@ -199,10 +199,10 @@ def _wrong_cells(types: NDArray[np.uint8], offsets: Ints, length: int) -> str | 
     sizes = np.diff(offsets)
     if len(sizes) != len(types) or offsets[0] != 0 or offsets[-1] != length or (sizes < 0).any():
         return f"the places of its {len(types)} cells do not fit their {length} corners"
-    for kind, corners in _CORNERS.items():
-        bad = np.flatnonzero((types == kind) & (sizes != corners))
+    for kind in CELL_TYPES.values():
+        bad = np.flatnonzero((types == kind) & (sizes != CORNERS[kind]))
         if bad.size:
-            return f"cell {bad[0]} has {sizes[bad[0]]} corners, not {corners}"
+            return f"cell {bad[0]} has {sizes[bad[0]]} corners, not {CORNERS[kind]}"
     return None
 
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Ints
 from pipeline.errors import SeriesError
 from pipeline.formats import preflight as claims
+from pipeline.formats.cell_types import CORNERS
 
 # the names of types in .vtu, and numpy's
 TYPES = {f"{word}Int{8 * n}": f"{kind}{n}" for word, kind in (("", "i"), ("U", "u")) for n in (1, 2, 4, 8)} | {
@@ -41,7 +42,6 @@ _LEAST_BYTES, _BYTES_PER_BYTE = 2 * 10**9, 40
 _LARGEST, _MOST_MARKS = _LEAST_BYTES // 4, 10**6
 _LONG, _LONG_TAG = 200, 10_000  # bytes of a text that is worth keeping from the parser, and of a tag that has none
 _TAG = re.compile(rb"""/?[\w:.-]+(?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))*\s*/?""")
-_CORNERS = {1: 1, 3: 2, 5: 3, 9: 4, 10: 4, 12: 8, 13: 6, 14: 5, 21: 3, 22: 6, 23: 8, 24: 10, 25: 20}  # of VTK's kinds
 
 
 class Packed(NamedTuple):
@@ -64,11 +64,11 @@ class Inline(NamedTuple):
 
     points: Packed
     cells: tuple[NDArray[np.uint8], Ints, Ints]
-    sections: tuple["Arrays", "Arrays", "Arrays"]  # of points, cells and the whole
+    sections: tuple["LazyArrays", "LazyArrays", "LazyArrays"]  # of points, cells and the whole
 
 
-class Arrays(Mapping[str, NDArray[Any]]):
-    """Arrays by their names, decoded each time they are asked for; raises SeriesError where that fails."""
+class LazyArrays(Mapping[str, NDArray[Any]]):
+    """LazyArrays by their names, decoded each time they are asked for; raises SeriesError where that fails."""
 
     def __init__(self, file: Path, packed: dict[str, Packed]) -> None:
         self._file, self._packed = file, packed
@@ -177,7 +177,7 @@ def _read(file: Path) -> Inline:
         cells = _cells(found["types"], found["offsets"], found["connectivity"], *counts.values())
     except SeriesError as error:
         raise _NotInlineError from error
-    return Inline(points, cells, (Arrays(file, of_points), Arrays(file, of_cells), Arrays(file, whole)))
+    return Inline(points, cells, (LazyArrays(file, of_points), LazyArrays(file, of_cells), LazyArrays(file, whole)))
 
 
 def _without_texts(content: bytes) -> tuple[bytes, dict[bytes, bytes]]:
@@ -286,7 +286,7 @@ def _cells(
     kinds = unpacked(types, here, "types").astype(np.uint8).reshape(-1)
     ends = unpacked(offsets, here, "offsets").astype(np.int64).reshape(-1)
     corners = unpacked(connectivity, here, "connectivity").astype(np.int64).reshape(-1)
-    known = np.array([_CORNERS.get(kind, -1) for kind in range(256)])[kinds]
+    known = np.array([CORNERS.get(kind, -1) for kind in range(256)])[kinds]
     starts = np.concatenate([[0], ends])
     fits = len(kinds) == len(ends) == cells and len(corners) == starts[-1] and np.array_equal(np.diff(starts), known)
     if not fits or corners.min() < 0 or corners.max() >= points:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, join_names, shorten
-from pipeline.formats.meshio_reader import SIMPLICES, Block
+from pipeline.formats.meshio_reader import SIMPLICES, CellBlock
 from pipeline.formats.preflight import refusal
 from pipeline.formats.sandbox import READER
 from pipeline.mesh.cleanup import (
@@ -50,7 +50,7 @@ def read_mesh(path: Path, scale: float = 1.0, *, note: Note | None = None) -> Me
     return Mesh(points * scale, cells, name=str(path))
 
 
-def _read(path: Path) -> tuple[Floats, list[Block], str]:
+def _read(path: Path) -> tuple[Floats, list[CellBlock], str]:
     """Return points, blocks of cells and what meshio would have printed, read in a child process."""
     if not isfile(path):
         raise MeshError(f"{shorten(str(path), 500)}: no such mesh file")
@@ -62,7 +62,7 @@ def _read(path: Path) -> tuple[Floats, list[Block], str]:
     return points, blocks, said
 
 
-def _simplices(points: Floats, blocks: Sequence[Block]) -> tuple[Floats, Ints, list[str]]:
+def _simplices(points: Floats, blocks: Sequence[CellBlock]) -> tuple[Floats, Ints, list[str]]:
     """Return points (n, 2 or 3), the simplices of the highest dimension and a note of what else was dropped."""
     d = max((dimension for _, dimension, *_ in blocks), default=0)
     top = {kind for kind, dimension, *_ in blocks if dimension == d}

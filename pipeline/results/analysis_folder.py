@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.analysis.node_distance import NodeDistance, write_node_distances
-from pipeline.analysis.statistics import opened
 from pipeline.arrays import Floats
 from pipeline.errors import SeriesError
 from pipeline.formats.atomic import whole_file
+from pipeline.formats.netcdf import NETCDF_LOCK, open_dataset
 from pipeline.run.frame import Frame, Values
 from pipeline.run.frames import record
 from pipeline.run.measures import AXES, QUANTILES, VARIABLES, attributes
 from pipeline.series import Series, read_series
-from pipeline.sinks.netcdf import ALONE, NetcdfSink
+from pipeline.sinks.netcdf import NetcdfSink
 
 if TYPE_CHECKING:
     import xarray
@@ -146,7 +146,7 @@ class _Rows:
     def __init__(self, path: Path, stack: ExitStack) -> None:
         import netCDF4
 
-        stack.enter_context(ALONE)
+        stack.enter_context(NETCDF_LOCK)
         self._dataset = stack.enter_context(netCDF4.Dataset(path))
         self._dataset.set_auto_mask(False)
         self.times = self._dataset["time"][:]
@@ -226,7 +226,7 @@ def _write_comparison(
     import netCDF4
 
     names = [n for n in VARIABLES if all(n in one.names for one in rows) and (same or "cell" not in VARIABLES[n].dims)]
-    with ALONE, netCDF4.Dataset(path, "w", format="NETCDF4") as out:
+    with NETCDF_LOCK, netCDF4.Dataset(path, "w", format="NETCDF4") as out:
         _create(out, names, rows if same else [], series, times, difference=difference)
         for k, time in enumerate(times.tolist()):
             first: Values = {}
@@ -249,7 +249,7 @@ def _write_apart(
         if on_frame is not None:
             on_frame("difference of nodes", done, count)
 
-    with ALONE, netCDF4.Dataset(path, "a") as out:
+    with NETCDF_LOCK, netCDF4.Dataset(path, "a") as out:
         return write_node_distances(out, series, times, told)
 
 
@@ -296,7 +296,7 @@ def _figure(path: Path, picture: Path, methods: list[str], title: str, notes: li
     """Draw the volume ratios of a dataset on disk; of long ones some frames, the worst among them."""
     from pipeline.views.plots import volume_figure
 
-    with opened(path) as dataset:
+    with open_dataset(path) as dataset:
         kept = _drawn(dataset)
         if len(kept) < dataset.sizes["time"]:
             notes.append(f"{picture.name} shows {len(kept)} of {dataset.sizes['time']} frames, the worst among them")
@@ -311,7 +311,7 @@ def _distances(path: Path, picture: Path, title: str) -> Path:
     """Draw how far the nodes are from those of the first series."""
     from pipeline.views.plots import distance_figure
 
-    with opened(path) as dataset:
+    with open_dataset(path) as dataset:
         distance_figure(dataset[["node_distance_worst", "node_distance_rms"]], picture, title=title)
     return picture
 

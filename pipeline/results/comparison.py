@@ -5,9 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.analysis.statistics import joined, read_statistics, write_dataset
+from pipeline.analysis.statistics import joined
 from pipeline.case import Case, load_case
 from pipeline.errors import OutputError, join_names
+from pipeline.formats.netcdf import read_dataset, write_dataset
 from pipeline.problem.build import settled
 from pipeline.results.variant import UNFINISHED, determining, read_run
 from pipeline.series import read_series
@@ -43,7 +44,7 @@ def compare(
     for stale in (*DRAWN, _EFFORT):
         (folder / stale).unlink(missing_ok=True)
     title = case.movie.title or case.name.replace("_", " ")
-    statistics = {name: read_statistics(folder / name / "statistics.nc") for name in usable}
+    statistics = {name: read_dataset(folder / name / "statistics.nc") for name in usable}
     dataset, notes = joined(statistics, title=title)
     write_dataset(dataset, paths["comparison.nc"])
     from pipeline.views.plots import effort_figure, energy_figure, volume_figure

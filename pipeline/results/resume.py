@@ -17,6 +17,7 @@ import numpy as np
 from pipeline.case import OutputSpec
 from pipeline.errors import CaseError, OutputError, SeriesError
 from pipeline.formats.atomic import whole_file
+from pipeline.formats.netcdf import NETCDF_LOCK
 from pipeline.formats.vtk_readers import Grid
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.build import Problem
@@ -24,7 +25,7 @@ from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.run.measures import VARIABLES, measure
 from pipeline.series import Series
 from pipeline.sinks.frame_formats import FORMATS
-from pipeline.sinks.netcdf import ALONE, NetcdfSink
+from pipeline.sinks.netcdf import NetcdfSink
 
 CHECKPOINTS = "checkpoints"
 LOCK = ".lock"
@@ -213,7 +214,7 @@ def _old_statistics(path: Path, count: int) -> Iterator[Any]:
     import netCDF4
 
     try:
-        with ALONE, netCDF4.Dataset(path) as old:
+        with NETCDF_LOCK, netCDF4.Dataset(path) as old:
             old.set_auto_mask(False)
             if len(old.dimensions["time"]) < count:
                 raise SeriesError(f"{path}: {len(old.dimensions['time'])} of {count} frames, and the files are rounded")

@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, SeriesError
+from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.run.measures import attributes, volumes_and_angles
 
@@ -156,7 +157,7 @@ def make_pyvista_grid(frame: "xarray.Dataset") -> Any:
     import pyvista
 
     cells, rest = frame["connectivity"].values, frame["rest_position"].values
-    kind = {4: 10, 3: 5}[cells.shape[1]]
+    kind = CELL_TYPES[cells.shape[1] - 1]
     grid = pyvista.UnstructuredGrid({kind: cells}, rest + frame["displacement"].values)
     grid.point_data["rest_position"] = rest
     for name, variable in frame.data_vars.items():

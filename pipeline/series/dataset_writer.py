@@ -13,7 +13,7 @@ from pipeline.errors import OutputError, SeriesError
 from pipeline.formats.atomic import write_whole
 from pipeline.series.accessor import DeformationAccessor
 from pipeline.series.xarray_plugin import ATTRIBUTES, STATIC
-from pipeline.sinks.fields import Fields
+from pipeline.sinks.fields import FrameFields
 from pipeline.sinks.vtu import pvd_text, static_parts, vtu_text
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def write_pvd_series(dataset: "xarray.Dataset", path: Path | str) -> Path:
     return path
 
 
-def _frames(moving: "xarray.Dataset", rest: Floats) -> Iterator[tuple[float, Fields]]:
+def _frames(moving: "xarray.Dataset", rest: Floats) -> Iterator[tuple[float, FrameFields]]:
     """Yield time [s] and fields of each frame; a block of frames is read at once, which costs less than one by one."""
     count = moving.sizes["time"]
     block = max(1, _BLOCK_BYTES * count // max(1, moving.nbytes))
@@ -62,7 +62,7 @@ def _frames(moving: "xarray.Dataset", rest: Floats) -> Iterator[tuple[float, Fie
                 name: np.atleast_2d(row[name]) for name, kind in kinds.items() if kind not in _WHOLE
             }
             nodal, cellular = ({name: row[name] for name, kind in kinds.items() if kind == one} for one in _WHOLE)
-            yield time, Fields(rest + row["displacement"], nodal, cellular, numbers)
+            yield time, FrameFields(rest + row["displacement"], nodal, cellular, numbers)
 
 
 def _fits(variable: "xarray.DataArray") -> bool:

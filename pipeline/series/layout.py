@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, SeriesError, join_names, shorten
+from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.mesh.cleanup import oriented
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 from pipeline.series.frame_files import SUFFIXES, Grid, read_grid
 
-_KINDS = {3: 10, 2: 5}  # VTK's numbers of tetrahedron and triangle
 _DISPLACEMENTS = {"displacement", "displacements", "disp", "u", "deformation"}  # compared in lower case
 # vectors that say nothing about where a node is
 _OTHERS = ("velocity", "veloc", "acceler", "force", "normal", "reaction", "load", "momentum", "traction", "rest_")
@@ -114,7 +114,7 @@ def infer_layout(read: Callable[[int], Grid], count: int, options: Options, wher
     first = read(0)
     dimension, chosen, notes = _measured_cells(first, where)
     displacement, said = _displacement(read, count, options, where)
-    cells = first.cells(_KINDS[dimension], dimension + 1)
+    cells = first.cells(CELL_TYPES[dimension], dimension + 1)
     rest, told = _rest_points(first, displacement, options, where)
     used = np.zeros(len(rest), dtype=bool)
     used[cells] = True
@@ -137,7 +137,7 @@ def infer_layout(read: Callable[[int], Grid], count: int, options: Options, wher
 def _measured_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], list[str]]:
     """Return the dimension, which cells are its simplices, and a note that counts the others."""
     kinds, counts = np.unique(grid.types, return_counts=True)
-    for d, kind in _KINDS.items():
+    for d, kind in CELL_TYPES.items():
         if kinds.tolist() == [kind]:
             return d, np.ones(len(grid.types), dtype=bool), []
     import pyvista
@@ -150,11 +150,11 @@ def _measured_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], lis
     d = max(dimensions.values())
     names = {kind: f"{count} {pyvista.CellType(kind).name.lower()}"
              for kind, count in zip(kinds.tolist(), counts.tolist(), strict=True)}  # fmt: skip
-    if _KINDS.get(d) not in dimensions:
+    if CELL_TYPES.get(d) not in dimensions:
         raise SeriesError(f"{where}: it has no tetrahedra and no triangles, but {', '.join(names.values())}")
-    others = [name for kind, name in names.items() if kind != _KINDS[d]]
+    others = [name for kind, name in names.items() if kind != CELL_TYPES[d]]
     notes = [f"cells that are no {CELL_NAMES[d]} are not measured: {', '.join(others)}"] if others else []
-    return d, grid.types == _KINDS[d], notes
+    return d, grid.types == CELL_TYPES[d], notes
 
 
 def _displacement(

@@ -3,33 +3,31 @@
 Points are where the body is NOW; `displacement` and `rest_position` lead back.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Fields
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame, Values
 from pipeline.run.measures import VARIABLES, spatial
 
-CELL_TYPES = {2: 5, 3: 10}  # VTK's numbers of triangle and tetrahedron
 Precision = Literal["float64", "float32"]
-Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
-class Fields:
+class FrameFields:
     """One frame: points (n, 3), nodal (n, 3), cellular (e,), and numbers of the body: rows of components (1, k)."""
 
     points: NDArray[np.floating]
-    nodal: Arrays
-    cellular: Arrays
-    numbers: Arrays
+    nodal: Fields
+    cellular: Fields
+    numbers: Fields
 
 
-def frame_fields(frame: Frame, measured: Values, precision: Precision = "float64") -> Fields:
+def frame_fields(frame: Frame, measured: Values, precision: Precision = "float64") -> FrameFields:
     """Return what changes from frame to frame; numbers of the body are float64 in every precision."""
     mesh = frame.mesh
     nodal = {"displacement": frame.x - mesh.points}
@@ -41,7 +39,7 @@ def frame_fields(frame: Frame, measured: Values, precision: Precision = "float64
     if frame.step is not None:
         numbers["step"] = np.array([[frame.step]], dtype=np.int64)
     numbers |= {name: np.atleast_2d(value) for name, value in measured.items() if name not in cellular}
-    return Fields(
+    return FrameFields(
         spatial(frame.x).astype(precision, copy=False),
         {name: spatial(value).astype(precision, copy=False) for name, value in nodal.items()},
         {name: value.astype(precision, copy=False) for name, value in cellular.items()},

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from pipeline.errors import OutputError
 from pipeline.formats.atomic import whole_file
+from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame, Values
-from pipeline.sinks.fields import CELL_TYPES, Fields, Precision, frame_fields, rest_positions
+from pipeline.sinks.fields import FrameFields, Precision, frame_fields, rest_positions
 
 _ROOM = 64  # frames, where nobody says how many will come; doubled when they are more
 _TURNS = ("turns/even", "turns/odd")
@@ -61,13 +62,13 @@ class VtkhdfSink:
                 os.fsync(file.id.get_vfd_handle())
                 file.close()
 
-    def _append(self, time: float, fields: Fields) -> None:
+    def _append(self, time: float, fields: FrameFields) -> None:
         for name, values in _moving(fields).items():
             self._datasets[name][_rows(values, len(self._times))] = values
         self._times.append(time)
         _turn(self._file, self._times)
 
-    def _make(self, frame: Frame, fields: Fields, room: int) -> None:
+    def _make(self, frame: Frame, fields: FrameFields, room: int) -> None:
         """Put a file with room and the frames so far in place; without any the first frame is laid out too."""
         before, self._room = self._file, room
         with whole_file(self.path) as hidden, _created(hidden) as file:
@@ -85,7 +86,7 @@ class VtkhdfSink:
             before.close()
         self._open(fields)
 
-    def _open(self, fields: Fields) -> None:
+    def _open(self, fields: FrameFields) -> None:
         import h5py
 
         # not locked: others may read meanwhile
@@ -103,7 +104,7 @@ class VtkhdfSink:
             raise OutputError(f"{self.path}: cannot be {what} ({error})") from error
 
 
-def _moving(fields: Fields) -> Mapping[str, NDArray[Any]]:
+def _moving(fields: FrameFields) -> Mapping[str, NDArray[Any]]:
     """Return everything that changes from frame to frame, by its name in the file."""
     return {
         "Points": fields.points,
@@ -155,7 +156,7 @@ def _lay_out_cells(root: Any, mesh: Mesh, precision: Precision) -> None:
         _store(root, name, values)
 
 
-def _lay_out_frames(root: Any, fields: Fields, room: int) -> None:
+def _lay_out_frames(root: Any, fields: FrameFields, room: int) -> None:
     """Give every frame its bytes in the file, unwritten."""
     import h5py
 

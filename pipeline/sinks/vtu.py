@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Ints
 from pipeline.formats.atomic import write_whole
+from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.formats.vtu_read import TYPES
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame, Values
-from pipeline.sinks.fields import CELL_TYPES, Fields, Precision, frame_fields, rest_positions
+from pipeline.sinks.fields import FrameFields, Precision, frame_fields, rest_positions
 
 _TYPES = {kind: name for name, kind in TYPES.items()}
 _INDEX_SECONDS = 1.0  # the index grows with the run; written every frame it would cost the square of it
@@ -85,7 +86,7 @@ def static_parts(cells: Ints, rest: NDArray[np.floating]) -> StaticParts:
     return StaticParts((len(rest), e), encoded, _array("rest_position", rest, static=True))
 
 
-def vtu_text(fields: Fields, static: StaticParts) -> bytes:
+def vtu_text(fields: FrameFields, static: StaticParts) -> bytes:
     """Return one frame as a .vtu."""
     numbers = (_array(name, value, tuples=len(value)) for name, value in fields.numbers.items())
     return b"".join(

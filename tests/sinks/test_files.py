@@ -15,9 +15,10 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridReader
 
 from pipeline import build, frames, load_case, read_series, record
-from pipeline.analysis.statistics import read_statistics, series_statistics
+from pipeline.analysis.statistics import series_statistics
 from pipeline.errors import OutputError, SeriesError
 from pipeline.formats.atomic import write_whole
+from pipeline.formats.netcdf import read_dataset
 from pipeline.run.measures import QUANTILES, VARIABLES, measure, spatial
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.vtu import VtuSink
@@ -159,12 +160,12 @@ def test_statistics_follow_the_conventions(run):
 
 
 def test_statistics_of_the_frames_on_disk_are_statistics_nc(run):
-    again, written = series_statistics(read_series(run.folder)), read_statistics(run.folder / "statistics.nc")
+    again, written = series_statistics(read_series(run.folder)), read_dataset(run.folder / "statistics.nc")
     xarray.testing.assert_equal(again, written)
 
 
 def test_a_dataset_of_a_series_says_what_statistics_nc_says(run):
-    again, written = series_statistics(read_series(run.folder)), read_statistics(run.folder / "statistics.nc")
+    again, written = series_statistics(read_series(run.folder)), read_dataset(run.folder / "statistics.nc")
     assert_conventional(again)
     for name in written.variables:
         for key in ("units", "long_name"):
@@ -173,7 +174,7 @@ def test_a_dataset_of_a_series_says_what_statistics_nc_says(run):
 
 def test_what_points_alone_tell_is_measured_from_the_points_alone(run):
     """Every kinematic number again, from frames stripped of all that the solver knew."""
-    written = read_statistics(run.folder / "statistics.nc")
+    written = read_dataset(run.folder / "statistics.nc")
     for i, frame in enumerate(read_series(run.folder)):
         for name, value in measure(replace(frame, known={})).items():
             # sums over an array that lies differently in memory may round otherwise
@@ -204,7 +205,7 @@ def test_a_foreign_series_has_the_kinematic_part_under_the_same_names(run, tmp_p
         f'<VTKFile type="Collection"><Collection>{"".join(rows)}</Collection></VTKFile>'
     )
     theirs = series_statistics(read_series(tmp_path / "theirs.pvd", name="theirs"))
-    ours = read_statistics(run.folder / "statistics.nc")
+    ours = read_dataset(run.folder / "statistics.nc")
     assert set(theirs.data_vars) == {"rest_volume", *FIXED_MODEL} - {
         "kinetic_energy", "elastic_energy", "potential_energy", "linear_momentum", "angular_momentum",
         "newton_iterations",
@@ -238,7 +239,7 @@ def assert_complete(folder, count: int) -> None:
     assert [file.name for file in frame_files(folder)] == [f"frame_{i:06d}.vtu" for i in range(count)]
     for file in frame_files(folder):
         vtk_read(file)
-    written = read_statistics(folder / "statistics.nc")
+    written = read_dataset(folder / "statistics.nc")
     assert written.sizes["time"] == count and np.isfinite(written["volume_ratio"].values).all()
     assert leftovers(folder) == []
 
@@ -254,7 +255,7 @@ def test_every_file_is_complete_after_an_exception_in_the_middle(tmp_path, error
     with pytest.raises(type(error)):
         record(source(problem_of(tmp_path)), sinks(tmp_path))
     assert_complete(tmp_path, 3)
-    xarray.testing.assert_equal(series_statistics(read_series(tmp_path)), read_statistics(tmp_path / "statistics.nc"))
+    xarray.testing.assert_equal(series_statistics(read_series(tmp_path)), read_dataset(tmp_path / "statistics.nc"))
 
 
 def test_a_sink_that_fails_leaves_the_files_of_the_others_complete(tmp_path):

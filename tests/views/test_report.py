@@ -14,10 +14,10 @@ import pytest
 import pyvista
 import xarray
 
-from pipeline.analysis.statistics import read_statistics
 from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.errors import OutputError
+from pipeline.formats.netcdf import read_dataset
 from pipeline.results.analysis_folder import analyze, compare
 from pipeline.results.comparison import recorded
 from pipeline.results.report import report_of_analysis, report_of_folder
@@ -101,7 +101,7 @@ def test_the_page_says_what_the_datasets_say(folder, text):
     data = data_of(text)
     assert data["labels"] == ["linear", "gram schmidt", "polar"]
     for name, drawn in zip(("linear", "gram_schmidt", "polar"), data["curves"], strict=True):
-        statistics = read_statistics(folder / name / "statistics.nc")
+        statistics = read_dataset(folder / name / "statistics.nc")
         assert drawn["times"] == pytest.approx(statistics["time"].values)
         assert drawn["total"] == pytest.approx(100 + 100 * statistics["volume_drift"].values, rel=1e-5)
         energies = [statistics[f"{kind}_energy"].values for kind in ("kinetic", "elastic", "potential")]
@@ -158,7 +158,7 @@ def test_large_results_show_some_frames_and_say_which(folder, monkeypatch):
 
 
 def test_long_series_have_some_points_of_their_curves(monkeypatch, folder):
-    statistics = read_statistics(folder / "linear" / "statistics.nc")
+    statistics = read_dataset(folder / "linear" / "statistics.nc")
     worst = int(np.abs(statistics["volume_ratio"].values - 1).max(axis=1).argmax())
     monkeypatch.setattr("pipeline.views.html.curves.MOST_TIMES", 2)
     assert drawn_times(statistics) == sorted({0, worst, 4})

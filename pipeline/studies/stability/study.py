@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.analysis.statistics import write_dataset
 from pipeline.case import Case
 from pipeline.errors import CaseError, quote_value
 from pipeline.formats.atomic import write_whole
+from pipeline.formats.netcdf import write_dataset
 from pipeline.problem.build import build, build_mesh
 from pipeline.studies.stability.slices import METHODS, SLICES, Scene, trial_settings
 from pipeline.studies.stability.trial import NOTHING, OUTCOMES, REFUSED, SURVIVES, UNEXPECTED, trial

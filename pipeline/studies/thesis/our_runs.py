@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.analysis.statistics import read_statistics
 from pipeline.case import Case
+from pipeline.formats.netcdf import read_dataset
 from pipeline.results.run_case import CampaignResult
 from pipeline.results.variant import VariantResult
 
@@ -68,7 +68,7 @@ def _factor(case: Case) -> tuple[float, str]:
 
 def outcome_of(variant: VariantResult) -> Outcome:
     """Return the outcome of a recorded variant, from its statistics.nc and its run.json."""
-    dataset = read_statistics(variant.folder / "statistics.nc")
+    dataset = read_dataset(variant.folder / "statistics.nc")
     run = variant.run
     ratio = dataset["volume_ratio"].transpose("time", "cell").values
     rest = dataset["rest_volume"].values

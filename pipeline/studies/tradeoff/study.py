@@ -8,9 +8,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from pipeline.analysis.statistics import write_dataset
 from pipeline.case import Case
 from pipeline.formats.atomic import write_whole
+from pipeline.formats.netcdf import write_dataset
 from pipeline.results.variant import determining
 from pipeline.studies.sweep import Point, plain, sweep
 from pipeline.studies.tradeoff.apply_choice import apply

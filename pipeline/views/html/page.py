@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.analysis.statistics import opened
 from pipeline.formats.atomic import write_whole
+from pipeline.formats.netcdf import open_dataset
 from pipeline.series import Series
 from pipeline.views.html.blocks import (
     Block,
@@ -72,7 +72,7 @@ def write_page(result: Result, path: Path, on_frame: OnFrame | None = None) -> P
     Raises SeriesError where a series or its statistics cannot be read, OutputError where the page cannot be written.
     """
     with ExitStack() as stack:
-        statistics = [stack.enter_context(opened(side.statistics)) for side in result.sides]
+        statistics = [stack.enter_context(open_dataset(side.statistics)) for side in result.sides]
         worst = [worst_cells(s, side.series.mesh, WORST) for s, side in zip(statistics, result.sides, strict=True)]
         drawn = [curves(one) for one in statistics]
         moments = [min(worst_frame(s), len(side.series) - 1) for s, side in zip(statistics, result.sides, strict=True)]
