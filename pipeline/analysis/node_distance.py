@@ -86,7 +86,7 @@ def write_node_distances(
             row["velocity_difference"] = np.nan if v is None or v0 is None else spatial(v - v0)
             for name in names:
                 out[name][m, k] = row[name]
-            now = NodeDistance(one.name, float(distance[worst]), one.layout.node(worst), time, rms, time)
+            now = NodeDistance(one.name, float(distance[worst]), one.layout.find_point(worst), time, rms, time)
             found[one.name] = _larger(found.get(one.name, now), now)
         if on_time is not None:
             on_time(k + 1, len(times))

@@ -23,7 +23,8 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.problem.build import Problem
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.run.measures import VARIABLES, measure
-from pipeline.series import Series
+from pipeline.series.listing import FrameListing, Member
+from pipeline.series.series import make_series
 from pipeline.sinks.frame_formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
 
@@ -192,8 +193,9 @@ def _remake_statistics(folder: Path, problem: Problem, output: OutputSpec, count
     for file in files:
         if not file.is_file():
             raise SeriesError(f"{file}: missing")
-    times, steps = tuple(frame_times(count, problem)), tuple(step for _, step in places)
-    series = Series(title, folder, files, times, steps, ours=True)
+    steps = [step for _, step in places]
+    members = tuple(Member(*row) for row in zip(frame_times(count, problem), files, steps, strict=True))
+    series, _ = make_series(FrameListing(title, folder, members, (), ours=True))
     path = folder / "statistics.nc"
     rounded = output.precision == "float32"
     with ExitStack() as stack:

@@ -1,4 +1,4 @@
-"""A recorded series, ours or that of any other program: replayed as Frames, and as an xarray dataset."""
+"""A recorded series, ours or another program's: read back as Frames and as an xarray dataset."""
 
 from pipeline.series.layout import Options
 from pipeline.series.series import Series, read_series

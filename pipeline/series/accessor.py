@@ -1,5 +1,9 @@
-"""ds.deformation: what a dataset of a moving body says of its cells."""
+"""ds.deformation: measures of a dataset of a moving body, and the ways out of it.
 
+xarray_plugin registers it with xarray.
+"""
+
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -7,20 +11,21 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
-from pipeline.errors import MeshError, SeriesError
+from pipeline.errors import SeriesError
 from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.run.measures import attributes, volumes_and_angles
+from pipeline.series.dataset_layout import read_mesh
+from pipeline.series.dataset_writer import write_pvd_series
 
 if TYPE_CHECKING:
     import xarray
 
 _ON_A_FACE = 1e-9  # of a cell's size: rounding puts points of the surface outside
-_NEEDED = ("rest_position", "connectivity", "displacement")
 
 
 class Worst(NamedTuple):
-    """The volume ratio that is farthest from one, and the cell and the time [s] that it is in."""
+    """The volume ratio that is farthest from one, its cell and its time [s]."""
 
     volume_ratio: float
     cell: int
@@ -28,41 +33,46 @@ class Worst(NamedTuple):
 
 
 class DeformationAccessor:
-    """Measures of a dataset with rest_position, connectivity and displacement, a frame at a time."""
+    """Measures of a dataset with rest_position, connectivity and displacement, computed frame by frame.
+
+    Methods are named after their results, as xarray's own are: `ds.deformation.volume_ratio().max("time")`.
+    """
 
     def __init__(self, dataset: "xarray.Dataset") -> None:
         self._dataset = dataset
 
     def volume_ratio(self) -> "xarray.DataArray":
         """Return the volume ratio of every cell in every frame (time, cell)."""
-        mesh = self.mesh()
-        return self._measured("volume_ratio", [ratio for _, ratio in self._ratios(mesh)])
+        return self._stack("volume_ratio", [ratio for _, ratio in self._ratios(self.mesh())])
 
     def rotation_angle(self) -> "xarray.DataArray":
         """Return the angle of the polar rotation of every cell in every frame (time, cell) [degree]."""
         mesh = self.mesh()
         rows = [np.degrees(volumes_and_angles(mesh, x)[1]) for x in self._positions(mesh)]
-        return self._measured("rotation_angle", rows)
+        return self._stack("rotation_angle", rows)
 
     def worst(self) -> Worst:
-        """Return the cell and the time of the largest |V / V0 - 1|."""
-        mesh, found = self.mesh(), Worst(1.0, 0, float(self._dataset["time"][0]))
+        """Return the largest deviation |V / V0 - 1| of a cell, with that cell and its time."""
+        mesh, worst = self.mesh(), Worst(1.0, 0, float(self._dataset["time"][0]))
         for time, ratio in self._ratios(mesh):
             cell = int(np.abs(ratio - 1).argmax())
-            if abs(ratio[cell] - 1) > abs(found.volume_ratio - 1):
-                found = Worst(float(ratio[cell]), cell, time)
-        return found
+            if abs(ratio[cell] - 1) > abs(worst.volume_ratio - 1):
+                worst = Worst(float(ratio[cell]), cell, time)
+        return worst
+
+    def mesh(self) -> Mesh:
+        """Return the rest mesh; raises SeriesError if the dataset has none."""
+        return read_mesh(self._dataset)
 
     def to_pyvista(self, time: float) -> Any:
-        """Return the frame nearest to a time [s] as a grid of deformed points with all its fields."""
-        frame = self._dataset.sel(time=time, method="nearest")
-        return make_pyvista_grid(frame)
+        """Return the frame nearest to a time [s] as a PyVista grid with deformed points and all fields."""
+        return make_pyvista_grid(self._dataset.sel(time=time, method="nearest"))
 
     def probe(self, field: "str | xarray.DataArray", points: Any) -> "xarray.DataArray":
         """Return a field at points (p, d) of the body at rest, which move with it (time, point[, axis]).
 
-        A field of the nodes is linear within a cell, one of the cells is that of the cell around the point; outside
-        the body it is NaN. `field` is a name, or any DataArray of nodes or cells. Raises SeriesError.
+        A nodal field is interpolated linearly in the cell around the point, a cell field is that cell's value;
+        outside the body the result is NaN. `field` is a name, or any DataArray of nodes or cells. Raises SeriesError.
         """
         import xarray
 
@@ -70,24 +80,23 @@ class DeformationAccessor:
         cells, weights = locate_points(self.mesh(), np.atleast_2d(np.asarray(points, dtype=np.float64)))
         if "node" in values.dims:
             nodes, places = np.unique(self._dataset["connectivity"].values[cells], return_inverse=True)
-            taken = values.isel(node=nodes)
-            taken = taken if taken.chunks else taken.compute()  # the nodes that count, once each
+            nodal = values.isel(node=nodes)
+            nodal = nodal if nodal.chunks else nodal.compute()  # read the needed nodes, each of them once
             corners = xarray.DataArray(places.reshape(weights.shape), dims=("point", "corner"))
             shares = xarray.DataArray(weights, dims=("point", "corner"))
-            found = xarray.dot(taken.isel(node=corners), shares, dim="corner")
+            out = xarray.dot(nodal.isel(node=corners), shares, dim="corner")
         elif "cell" in values.dims:
-            chosen = xarray.DataArray(cells, dims="point")
             inside = xarray.DataArray(np.isfinite(weights[:, 0]), dims="point")
-            found = values.isel(cell=chosen).where(inside)
+            out = values.isel(cell=xarray.DataArray(cells, dims="point")).where(inside)
         else:
             raise SeriesError(
                 f"{values.name} is a field of neither nodes nor cells: {', '.join(map(str, values.dims))}"
             )
-        out = found.transpose("time", "point", ...) if "time" in found.dims else found.transpose("point", ...)
+        out = out.transpose("time", "point", ...) if "time" in out.dims else out.transpose("point", ...)
         return out.rename(values.name).assign_attrs(values.attrs)
 
     def extract(self, cells: Any) -> "xarray.Dataset":
-        """Return the dataset of some cells, by their indices or as a mask, with the nodes that these have."""
+        """Return the dataset of some cells, given by their indices or as a mask, and of their nodes."""
         corners = self.mesh().cells
         chosen = np.arange(len(corners))[np.asarray(cells)].reshape(-1)
         nodes, renumbered = np.unique(corners[chosen], return_inverse=True)
@@ -95,25 +104,9 @@ class DeformationAccessor:
         shape = len(chosen), corners.shape[1]
         return out.assign(connectivity=out["connectivity"].copy(data=renumbered.reshape(shape)))
 
-    def to_pvd(self, path: Path | str) -> Path:
-        """Write the dataset as NAME.pvd with a folder NAME of .vtu files; return the index.
-
-        The frames are not synced: a loss of power soon afterwards may cost some. See write_pvd_series.
-        """
-        from pipeline.series.dataset_writer import write_pvd_series  # it needs this module
-
+    def to_pvd(self, path: str | os.PathLike[str]) -> Path:
+        """Write the dataset as NAME.pvd with a folder NAME of .vtu files; return the index. See write_pvd_series."""
         return write_pvd_series(self._dataset, path)
-
-    def mesh(self) -> Mesh:
-        """Return the rest mesh; raises SeriesError where the dataset has none."""
-        missing = [name for name in _NEEDED if name not in self._dataset]
-        if missing:
-            raise SeriesError(f"the dataset is no series of a body: it has no {', '.join(missing)}")
-        cells = self._dataset["connectivity"].values
-        try:
-            return Mesh(self._dataset["rest_position"].values[:, : cells.shape[1] - 1], cells, name="rest state")
-        except MeshError as error:
-            raise SeriesError(str(error)) from error
 
     def _positions(self, mesh: Mesh) -> Iterator[Floats]:
         field = self._dataset["displacement"].transpose("time", "node", "axis")
@@ -124,7 +117,7 @@ class DeformationAccessor:
         ratios = (signed_volumes(x, mesh.cells) / mesh.rest_volumes for x in self._positions(mesh))
         return zip(times, ratios, strict=True)
 
-    def _measured(self, name: str, rows: list[Floats]) -> "xarray.DataArray":
+    def _stack(self, name: str, rows: list[Floats]) -> "xarray.DataArray":
         import xarray
 
         d = self._dataset.sizes["corner"] - 1
@@ -133,7 +126,7 @@ class DeformationAccessor:
 
 
 def locate_points(mesh: Mesh, points: Floats) -> tuple[Ints, Floats]:
-    """Return the cell (p,) around each rest point (p, d), and the shares of its corners (p, d + 1), NaN outside."""
+    """Return the cell (p,) around each rest point (p, d), and its barycentric coordinates (p, d + 1), NaN outside."""
     if points.ndim != 2 or points.shape[1] < mesh.dimension:
         raise SeriesError(f"points to probe are (p, {mesh.dimension}), not {points.shape}")
     corners, slack = mesh.points[mesh.cells], _ON_A_FACE * mesh.size
@@ -153,7 +146,7 @@ def locate_points(mesh: Mesh, points: Floats) -> tuple[Ints, Floats]:
 
 
 def make_pyvista_grid(frame: "xarray.Dataset") -> Any:
-    """Return one frame as an unstructured grid: points DEFORMED, as our own files have them."""
+    """Return one frame as an unstructured grid with DEFORMED points, as in our own files."""
     import pyvista
 
     cells, rest = frame["connectivity"].values, frame["rest_position"].values

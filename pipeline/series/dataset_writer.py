@@ -1,6 +1,7 @@
-"""A dataset of a moving body as ParaView files; xarray reads from them the dataset that was written."""
+"""Writes a dataset of a moving body as ParaView files, from which xarray reads the same dataset back."""
 
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +12,7 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.errors import OutputError, SeriesError
 from pipeline.formats.atomic import write_whole
-from pipeline.series.accessor import DeformationAccessor
-from pipeline.series.xarray_plugin import ATTRIBUTES, STATIC
+from pipeline.series.dataset_layout import ATTRIBUTES, STATIC, read_mesh
 from pipeline.sinks.fields import FrameFields
 from pipeline.sinks.vtu import pvd_text, static_parts, vtu_text
 
@@ -23,36 +23,35 @@ _WHOLE = (("node",), ("cell",))
 _BLOCK_BYTES = 1 << 22  # 4 MB: a hundred frames of a few hundred cells, one of a large mesh
 
 
-def write_pvd_series(dataset: "xarray.Dataset", path: Path | str) -> Path:
-    """Write a dataset as NAME.pvd with a folder NAME of .vtu files, a frame at a time; return the index.
+def write_pvd_series(dataset: "xarray.Dataset", path: str | os.PathLike[str]) -> Path:
+    """Write a dataset as NAME.pvd with a folder NAME of .vtu files, frame by frame; return the index.
 
-    The frames are not synced: after a loss of power soon afterwards some may be empty or partial; write them anew.
-    Raises SeriesError for a variable that is neither (time, node…), (time, cell…) nor (time…), as files of frames
-    cannot hold it; OutputError where it cannot write.
+    The frames are not synced: a power loss soon afterwards may leave some empty or partial. Raises SeriesError for a
+    variable that is neither (time, node, ...), (time, cell, ...) nor (time, ...), because files of frames cannot hold
+    it; OutputError if it cannot write.
     """
-    path = Path(path)
-    mesh = DeformationAccessor(dataset).mesh()
-    strange = [str(name) for name, one in dataset.data_vars.items() if name not in STATIC and not _fits(one)]
+    path, mesh = Path(path), read_mesh(dataset)
+    strange = [str(name) for name, v in dataset.data_vars.items() if name not in STATIC and not _fits_frames(v)]
     if strange:
         raise SeriesError(f"{path}: frames cannot hold {', '.join(strange)}; drop_vars them, or put time first")
     rest, moving = dataset["rest_position"].values, dataset.drop_vars(STATIC)
-    static, listed = static_parts(mesh.cells, rest), []
-    said = {str(key): one.attrs for key, one in dataset.variables.items()} | {"": dataset.attrs}
-    first = {ATTRIBUTES: np.array([json.dumps(said, default=_plain).encode()])}
-    for index, (time, fields) in enumerate(_frames(moving, rest)):
+    static, entries = static_parts(mesh.cells, rest), []
+    attributes = {str(name): v.attrs for name, v in dataset.variables.items()} | {"": dataset.attrs}
+    first = {ATTRIBUTES: np.array([json.dumps(attributes, default=_to_json).encode()])}
+    for index, (time, fields) in enumerate(_iterate_frames(moving, rest)):
         name = f"{path.stem}/frame_{index:06d}.vtu"
         numbers = first | dict(fields.numbers) if index == 0 else fields.numbers
         write_whole(path.parent / name, vtu_text(replace(fields, numbers=numbers), static), synced=False)
-        listed.append((time, name))
-    write_whole(path, pvd_text(listed))
+        entries.append((time, name))
+    write_whole(path, pvd_text(entries))
     return path
 
 
-def _frames(moving: "xarray.Dataset", rest: Floats) -> Iterator[tuple[float, FrameFields]]:
-    """Yield time [s] and fields of each frame; a block of frames is read at once, which costs less than one by one."""
+def _iterate_frames(moving: "xarray.Dataset", rest: Floats) -> Iterator[tuple[float, FrameFields]]:
+    """Yield time [s] and fields of each frame; frames are read in blocks, which is faster than one by one."""
     count = moving.sizes["time"]
     block = max(1, _BLOCK_BYTES * count // max(1, moving.nbytes))
-    kinds = {str(name): one.dims[1:2] for name, one in moving.data_vars.items()}
+    kinds = {str(name): v.dims[1:2] for name, v in moving.data_vars.items()}
     for start in range(0, count, block):
         part = moving.isel(time=slice(start, start + block))
         values = {name: part[name].values for name in kinds}
@@ -61,19 +60,19 @@ def _frames(moving: "xarray.Dataset", rest: Floats) -> Iterator[tuple[float, Fra
             numbers = {"TimeValue": np.array([[time]])} | {
                 name: np.atleast_2d(row[name]) for name, kind in kinds.items() if kind not in _WHOLE
             }
-            nodal, cellular = ({name: row[name] for name, kind in kinds.items() if kind == one} for one in _WHOLE)
+            nodal, cellular = ({name: row[name] for name, kind in kinds.items() if kind == dim} for dim in _WHOLE)
             yield time, FrameFields(rest + row["displacement"], nodal, cellular, numbers)
 
 
-def _fits(variable: "xarray.DataArray") -> bool:
-    """Return whether a variable is one of numbers, with time first, then nodes or cells, then components."""
+def _fits_frames(variable: "xarray.DataArray") -> bool:
+    """Return whether a variable holds numbers, with time first, then nodes or cells if any, then components."""
     whole = variable.dims[1:2] in _WHOLE
     alone = not {"node", "cell"}.intersection(variable.dims[2 if whole else 1 :])
     return variable.dims[:1] == ("time",) and alone and variable.ndim <= 2 + whole and variable.dtype.kind in "fiu"
 
 
-def _plain(value: Any) -> Any:
-    """Return a numpy number or array as JSON has it; anything else in words."""
+def _to_json(value: Any) -> Any:
+    """Return a numpy number or array as plain Python; anything else as text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 

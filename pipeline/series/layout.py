@@ -1,9 +1,10 @@
-"""How a series is to be understood: which cells are measured, what they are at rest, where its points are.
+"""How the files of a series are read: which cells are measured, their rest state, and where the points are.
 
 Solvers write deformed points, or rest points and a displacement field; some write hexahedra beside tetrahedra,
-nodes that no cell names, mirrored cells. What is decided here is told in a note.
+nodes without cells, mirrored cells. A note reports each of these decisions.
 """
 
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,22 +20,22 @@ from pipeline.mesh.simplex import CELL_NAMES, Mesh
 from pipeline.series.frame_files import SUFFIXES, Grid, read_grid
 
 _DISPLACEMENTS = {"displacement", "displacements", "disp", "u", "deformation"}  # compared in lower case
-# vectors that say nothing about where a node is
+# vector fields that are not displacements
 _OTHERS = ("velocity", "veloc", "acceler", "force", "normal", "reaction", "load", "momentum", "traction", "rest_")
-_BEYOND = 1e75  # [m]: not finite for us, as volumes of what is larger would overflow
+_LARGEST = 1e75  # [m]: volumes of larger bodies would overflow; larger coordinates count as not finite
 _PLANAR = 1e-6  # of the size: single precision leaves a few 1e-7 of it
 
 
 @dataclass(frozen=True)
 class Options:
-    """What a reader of a series may say: the displacement field ("none" for deformed points) and the rest state.
+    """Choices of the caller: the displacement field ("none" for deformed points) and the rest state.
 
-    `rest` is "first", "rest_position", "points", the path of a file, or None for the first of these that there is:
-    the field rest_position, the points where a displacement field is used, the first frame.
+    `rest` is "first", "rest_position", "points" or the path of a file. None means the first of these that exists:
+    the field rest_position, the points if a displacement field is added to them, the first frame.
     """
 
     displacement: str | None = None
-    rest: str | Path | None = None
+    rest: str | os.PathLike[str] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,19 +43,19 @@ class SeriesLayout:
     """How frames become positions on one mesh.
 
     `nodes` (n,) are the points of the files that are nodes of the mesh, `chosen` (cells of the files,) marks the
-    cells that are measured; `displacement` names the field that is added to the points.
+    measured cells; `displacement` names the field that is added to the points.
     """
 
     mesh: Mesh
     nodes: Ints | None
     chosen: NDArray[np.bool_] | None
     displacement: str | None
-    grid: Grid  # cells only: of the first frame
+    grid: Grid  # points and cells of the first frame, without fields
     notes: tuple[str, ...]
     guessed: bool  # the displacement was found by its name
 
     def check_cells(self, grid: Grid, where: str) -> None:
-        """Raise SeriesError where the cells of a frame are not those of the first."""
+        """Raise SeriesError if the cells of a frame are not those of the first."""
         if not have_same_cells(grid, self.grid):
             raise SeriesError(
                 f"{where}: its cells are not those of the first frame "
@@ -62,84 +63,87 @@ class SeriesLayout:
                 f"{self.grid.count}): the topology changes"
             )
 
-    def positions(self, grid: Grid, where: str) -> Floats:
-        """Return the positions of a frame (n, d); raises SeriesError where they are not those of this mesh."""
+    def compute_positions(self, grid: Grid, where: str) -> Floats:
+        """Return the positions of a frame (n, d); raises SeriesError if they do not fit this mesh."""
         self.check_cells(grid, where)
         if self.guessed and not np.array_equal(grid.points, self.grid.points):
             field = shorten(self.displacement or "")
             raise SeriesError(
                 f"{where}: the points move, unlike those of the first, the middle and the last frame: say whether "
-                f'displacement = "{field}" has to be added to them, or "none"'
+                f'displacement = "{field}" must be added to them, or "none"'
             )
         points = add_displacement(grid, self.displacement, where)
         points = points if self.nodes is None else points[self.nodes]
-        bad = np.flatnonzero(~(np.abs(points) < _BEYOND).all(axis=1))  # written so that NaN counts too
+        bad = np.flatnonzero(~(np.abs(points) < _LARGEST).all(axis=1))  # written so that NaN counts too
         if bad.size:
-            raise SeriesError(f"{where}: {bad.size} points are not finite, first {self.node(bad[0])}")
+            raise SeriesError(f"{where}: {bad.size} points are not finite, first {self.find_point(bad[0])}")
         return drop_z(points, where) if self.mesh.dimension == 2 else np.ascontiguousarray(points)
 
-    def node(self, index: int) -> int:
-        """Return the number of a node in the files."""
-        return int(index if self.nodes is None else self.nodes[index])
+    def find_point(self, node: int) -> int:
+        """Return the number that a node of the mesh has in the files."""
+        return int(node if self.nodes is None else self.nodes[node])
 
 
 def have_same_cells(a: Grid, b: Grid) -> bool:
-    """Return whether two grids have the same points' count and the same cells."""
-    if a.connectivity is b.connectivity and a.types is b.types:  # spelt alike, and read once
+    """Return whether two grids have equal cells and the same number of points."""
+    if a.connectivity is b.connectivity and a.types is b.types:  # decoded once from equal texts
         return a.count == b.count
     return a.count == b.count and np.array_equal(a.types, b.types) and np.array_equal(a.connectivity, b.connectivity)
 
 
 def add_displacement(grid: Grid, displacement: str | None, where: str) -> Floats:
-    """Return where the points of a grid are (n, 3)."""
+    """Return the deformed points of a grid (n, 3)."""
     if displacement is None:
         return grid.points
     if displacement not in grid.point_data:
-        raise SeriesError(f"{where}: no point field {shorten(displacement)}; it has {_listed(grid.point_data)}")
+        raise SeriesError(f"{where}: no point field {shorten(displacement)}; it has {_join_fields(grid.point_data)}")
     field = np.asarray(grid.point_data[displacement], dtype=np.float64)
     if field.ndim != 2 or field.shape[1] not in (2, 3):
-        raise SeriesError(f"{where}: the point field {shorten(displacement)} {field.shape} is no vector field")
+        raise SeriesError(f"{where}: the point field {shorten(displacement)} {field.shape} is not a vector field")
     return grid.points + np.pad(field, [(0, 0), (0, 3 - field.shape[1])])
 
 
 def drop_z(points: Floats, where: str) -> Floats:
-    """Return points without their third coordinate, which must be constant."""
+    """Return points (n, 2) without the third coordinate; raises SeriesError unless that is constant."""
     if np.ptp(points[:, 2]) > _PLANAR * float(np.ptp(points, axis=0).max()):
         raise SeriesError(f"{where}: triangles that do not lie in a plane of constant z are a surface, not a body")
     return np.ascontiguousarray(points[:, :2])
 
 
-def infer_layout(read: Callable[[int], Grid], count: int, options: Options, where: str) -> SeriesLayout:
-    """Return how to read a series of `count` frames; raises SeriesError where that cannot be known."""
-    first = read(0)
-    dimension, chosen, notes = _measured_cells(first, where)
-    displacement, said = _displacement(read, count, options, where)
+def infer_layout(first: Grid, read: Callable[[int], Grid], count: int, options: Options, where: str) -> SeriesLayout:
+    """Return the layout of a series of `count` frames from the first one; raises SeriesError if it is ambiguous.
+
+    `read` may be called for the middle and the last frame.
+    """
+    dimension, chosen, cell_notes = _select_cells(first, where)
+    displacement, displacement_notes = _choose_displacement(first, read, count, options, where)
     cells = first.cells(CELL_TYPES[dimension], dimension + 1)
-    rest, told = _rest_points(first, displacement, options, where)
+    rest, rest_notes = _choose_rest_points(first, displacement, options, where)
     used = np.zeros(len(rest), dtype=bool)
     used[cells] = True
     nodes = None if used.all() else np.flatnonzero(used)
     if nodes is not None:
         rest, cells = rest[nodes], (np.cumsum(used) - 1)[cells]
-        notes.append(f"{(~used).sum()} points that belong to no measured cell are left out, first {np.argmin(used)}")
+        cell_notes += (f"{(~used).sum()} points that belong to no measured cell are left out, first {np.argmin(used)}",)
     try:
         points = drop_z(rest, f"{where}: rest state") if dimension == 2 else rest
-        cells, mirrored = oriented(points, cells)
+        cells, orientation_notes = oriented(points, cells)
         mesh = Mesh(points, cells, name=where)
     except MeshError as error:
         raise SeriesError(f"rest state: {error}") from error
     bare = Grid(first.points, first.count, first.types, first.offsets, first.connectivity, {}, {}, {})
     mask = None if chosen.all() else chosen
     guessed = displacement is not None and options.displacement is None
-    return SeriesLayout(mesh, nodes, mask, displacement, bare, (*notes, *said, *told, *mirrored), guessed)
+    notes = (*cell_notes, *displacement_notes, *rest_notes, *orientation_notes)
+    return SeriesLayout(mesh, nodes, mask, displacement, bare, notes, guessed)
 
 
-def _measured_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], list[str]]:
-    """Return the dimension, which cells are its simplices, and a note that counts the others."""
+def _select_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], tuple[str, ...]]:
+    """Return the dimension, the mask of its simplices among the cells, and a note that counts the other cells."""
     kinds, counts = np.unique(grid.types, return_counts=True)
     for d, kind in CELL_TYPES.items():
         if kinds.tolist() == [kind]:
-            return d, np.ones(len(grid.types), dtype=bool), []
+            return d, np.ones(len(grid.types), dtype=bool), ()
     import pyvista
     from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
@@ -153,60 +157,62 @@ def _measured_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], lis
     if CELL_TYPES.get(d) not in dimensions:
         raise SeriesError(f"{where}: it has no tetrahedra and no triangles, but {', '.join(names.values())}")
     others = [name for kind, name in names.items() if kind != CELL_TYPES[d]]
-    notes = [f"cells that are no {CELL_NAMES[d]} are not measured: {', '.join(others)}"] if others else []
+    notes = (f"cells other than {CELL_NAMES[d]} cells are not measured: {', '.join(others)}",) if others else ()
     return d, grid.types == CELL_TYPES[d], notes
 
 
-def _displacement(
-    read: Callable[[int], Grid], count: int, options: Options, where: str
-) -> tuple[str | None, list[str]]:
-    """Return the displacement field to add to the points, None where the points themselves move."""
-    first = read(0)
+def _choose_displacement(
+    first: Grid, read: Callable[[int], Grid], count: int, options: Options, where: str
+) -> tuple[str | None, tuple[str, ...]]:
+    """Return the displacement field to add to the points, None if the points themselves move; and a note."""
     if options.displacement is not None:
         if options.displacement == "none":
-            return None, []
+            return None, ()
         add_displacement(first, options.displacement, where)
-        return options.displacement, []
+        return options.displacement, ()
     if "rest_position" in first.point_data:
-        return None, []
-    if any(not np.array_equal(read(i).points, first.points) for i in sorted({count // 2, count - 1} - {0})):
-        return None, []
+        return None, ()
+    points = first.points
+    if any(not np.array_equal(read(i).points, points) for i in sorted({count // 2, count - 1} - {0})):
+        return None, ()
     vectors = [n for n, a in first.point_data.items() if a.ndim == 2 and a.shape[1] in (2, 3)]
     named = [name for name in vectors if name.lower() in _DISPLACEMENTS]
     if len(named) == 1:
-        return named[0], [f"the points do not move; the field {named[0]} is taken for the displacement"]
+        return named[0], (f"the points do not move; the field {named[0]} is taken for the displacement",)
     candidates = named or [name for name in vectors if not any(word in name.lower() for word in _OTHERS)]
     if candidates:
         raise SeriesError(
-            f"{where}: the points do not move, and the displacement may be any of {_listed(candidates)}: "
-            'say which (displacement = NAME), or displacement = "none" where the body is at rest'
+            f"{where}: the points do not move, and the displacement may be any of {_join_fields(candidates)}: "
+            'say which (displacement = NAME), or displacement = "none" if the body is at rest'
         )
-    return None, ["the points do not move and there is no displacement field"] if count > 1 else []
+    return None, ("the points do not move and there is no displacement field",) if count > 1 else ()
 
 
-def _rest_points(first: Grid, displacement: str | None, options: Options, where: str) -> tuple[Floats, list[str]]:
-    """Return the points of the rest state (n, 3) and a note of what it is."""
+def _choose_rest_points(
+    first: Grid, displacement: str | None, options: Options, where: str
+) -> tuple[Floats, tuple[str, ...]]:
+    """Return the points of the rest state (n, 3), and a note if it is a guess."""
     rest = options.rest
     if rest is None:
         rest = "rest_position" if "rest_position" in first.point_data else "points" if displacement else "first"
         if rest == "first":
-            return first.points, ["the rest state is the first frame"]
+            return first.points, ("the rest state is the first frame",)
     if rest == "first":
-        return add_displacement(first, displacement, where), []
+        return add_displacement(first, displacement, where), ()
     if rest == "points":
-        return first.points, []
+        return first.points, ()
     if rest == "rest_position":
         if "rest_position" not in first.point_data:
-            raise SeriesError(f"{where}: no point field rest_position; it has {_listed(first.point_data)}")
-        return np.asarray(first.point_data["rest_position"], dtype=np.float64), []
+            raise SeriesError(f"{where}: no point field rest_position; it has {_join_fields(first.point_data)}")
+        return np.asarray(first.point_data["rest_position"], dtype=np.float64), ()
     file = Path(rest)
     if file.suffix not in SUFFIXES:
-        raise SeriesError(f"rest state {file}: a file ({', '.join(SUFFIXES)}), first, points or rest_position")
+        raise SeriesError(f"rest state {file}: must be a file ({', '.join(SUFFIXES)}), first, points or rest_position")
     grid = read_grid(file)
     if not have_same_cells(grid, first):
         raise SeriesError(f"{where}: its cells are not those of the rest state {file}")
-    return grid.points, []
+    return grid.points, ()
 
 
-def _listed(names: Iterable[str]) -> str:
+def _join_fields(names: Iterable[str]) -> str:
     return join_names(sorted(names)) or "none"

@@ -1,4 +1,4 @@
-"""Which instants a path names: an index, a folder or pattern of numbered files, or one file with many steps."""
+"""The instants that a path names: those of an index, of numbered files in a folder, or of one file with many steps."""
 
 import json
 import re
@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from glob import has_magic
-from os.path import exists, isdir  # pathlib's raise where a name is longer than the system allows
+from os.path import exists, isdir  # pathlib's raise if a name is longer than the system allows
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ _INDICES = (".pvd", ".series")
 
 
 class Member(NamedTuple):
-    """One instant: its time [s], the file that it lies in and the step there."""
+    """One instant: its time [s], its file and the step there."""
 
     time: float
     file: Path
@@ -29,7 +29,7 @@ class Member(NamedTuple):
 
 
 class FrameListing(NamedTuple):
-    """The instants that can be read, in the order of time, and what had to be said about the others."""
+    """The instants that can be read, in the order of time, and notes on the others."""
 
     name: str
     folder: Path
@@ -39,13 +39,13 @@ class FrameListing(NamedTuple):
 
 
 def list_frames(path: Path, *, strict: bool) -> FrameListing:
-    """Return what a path names; raises SeriesError where that is nothing, and with `strict` for any missing frame."""
-    index = _resolved(path)
-    members, notes = _members(index)
+    """Return the frames of a path; raises SeriesError if there are none or, with `strict`, if any is missing."""
+    index = _find_index(path)
+    members, notes = _list_members(index)
     ours = index.name in _OWN and is_own(index.parent, tuple(member.file for member in members))
     if ours and index.suffix == ".pvd":
-        members += [Member(*more) for more in find_unlisted_frames(index.parent, len(members))]
-    members, faults = _whole(members)
+        members += [Member(*frame) for frame in find_unlisted_frames(index.parent, len(members))]
+    members, faults = _drop_faulty(members)
     if faults and strict:
         raise SeriesError(f"{index}: {len(faults)} frames cannot be read, first {faults[0]}")
     notes += [f"left out: {text}" for text in faults]
@@ -60,12 +60,12 @@ def list_frames(path: Path, *, strict: bool) -> FrameListing:
     bad = [time for time in last if not abs(time) < float("inf")]
     if bad:
         raise SeriesError(f"{index}: the time {bad[0]} is not a number")
-    name, folder = _name(index)
+    name, folder = _choose_name(index)
     return FrameListing(name, folder, tuple(last.values()), tuple(notes), ours)
 
 
-def _name(index: Path) -> tuple[str, Path]:
-    """Return what to call a series, and its folder: our own indices, patterns and folders take the folder's name."""
+def _choose_name(index: Path) -> tuple[str, Path]:
+    """Return the name and the folder of a series: our own indices, patterns and folders take the folder's name."""
     if index.is_dir():
         return index.resolve().name, index
     folder = index.parent
@@ -74,38 +74,38 @@ def _name(index: Path) -> tuple[str, Path]:
     return (folder.resolve().name if has_magic(index.name) else index.name.split(".")[0]), folder
 
 
-def _resolved(path: Path) -> Path:
-    """Return the index in a folder where there is one, else the path itself."""
+def _find_index(path: Path) -> Path:
+    """Return the index in a folder if there is one, else the path itself."""
     if not isdir(path):
         return path
     for name in _OWN:
         if (path / name).exists():
             return path / name
-    found = sorted(file for file in path.iterdir() if file.suffix in (*_INDICES, *_TEMPORAL))
-    if len(found) > 1:
-        raise SeriesError(f"{path}: holds several series, name one: {join_names(file.name for file in found)}")
-    return found[0] if found else path
+    indices = sorted(file for file in path.iterdir() if file.suffix in (*_INDICES, *_TEMPORAL))
+    if len(indices) > 1:
+        raise SeriesError(f"{path}: holds several series, name one: {join_names(file.name for file in indices)}")
+    return indices[0] if indices else path
 
 
-def _members(index: Path) -> tuple[list[Member], list[str]]:
+def _list_members(index: Path) -> tuple[list[Member], list[str]]:
     if isdir(index):
-        return _numbered(index, (file for file in index.iterdir() if file.suffix in SUFFIXES))
+        return _list_numbered(index, (file for file in index.iterdir() if file.suffix in SUFFIXES))
     if has_magic(str(index)) and not exists(index):
         base = Path(index.anchor) if index.is_absolute() else Path()
-        return _numbered(index, base.glob(str(index.relative_to(base) if index.is_absolute() else index)))
+        return _list_numbered(index, base.glob(str(index.relative_to(base) if index.is_absolute() else index)))
     if not exists(index):
         raise SeriesError(f"{index}: no series there (No such file or directory)")
     if index.suffix == ".pvd":
-        return _indexed(index, _pvd)
+        return _read_index(index, _parse_pvd)
     if index.suffix == ".series":
-        return _indexed(index, _json)
+        return _read_index(index, _parse_json)
     if index.suffix in _TEMPORAL:
         times = read_times(index) or [0.0]
         return [Member(time, index, step) for step, time in enumerate(times)], []
-    return _numbered(index, [index])
+    return _list_numbered(index, [index])
 
 
-def _indexed(index: Path, parse: Callable[[Path], list[Member]]) -> tuple[list[Member], list[str]]:
+def _read_index(index: Path, parse: Callable[[Path], list[Member]]) -> tuple[list[Member], list[str]]:
     try:
         members = parse(index)
     except OSError as error:
@@ -117,32 +117,32 @@ def _indexed(index: Path, parse: Callable[[Path], list[Member]]) -> tuple[list[M
     return members, []
 
 
-def _pvd(index: Path) -> list[Member]:
+def _parse_pvd(index: Path) -> list[Member]:
     if why := refusal(index):
         raise ValueError(why)
     entries = ET.parse(index).getroot().findall("./Collection/DataSet")
     parts = {entry.get("part", "0") for entry in entries}
     if len(parts) > 1:
         raise SeriesError(f"{index}: lists {len(parts)} parts a frame; write them as one grid (pyvista: merge)")
-    return [Member(float(entry.attrib["timestep"]), _beside(index, entry.attrib["file"])) for entry in entries]
+    return [Member(float(entry.attrib["timestep"]), _find_file(index, entry.attrib["file"])) for entry in entries]
 
 
-def _json(index: Path) -> list[Member]:
+def _parse_json(index: Path) -> list[Member]:
     entries = json.loads(index.read_text(encoding="utf-8"))["files"]
-    return [Member(float(entry["time"]), _beside(index, entry["name"])) for entry in entries]
+    return [Member(float(entry["time"]), _find_file(index, entry["name"])) for entry in entries]
 
 
-def _beside(index: Path, name: str) -> Path:
-    """Return the file that an index names; raises SeriesError where it lies outside the index's folder."""
+def _find_file(index: Path, name: str) -> Path:
+    """Return the file that an index names; raises SeriesError if it lies outside the index's folder."""
     if why := leaving(name):
         raise SeriesError(f"{index}: {why}")
     return index.parent / name
 
 
-def _numbered(where: Path, found: Iterable[Path]) -> tuple[list[Member], list[str]]:
-    """Return files in the order of their numbers; times are those that all of them know, else their places."""
-    files = sorted((file for file in found if not file.name.startswith(".")), key=_natural)
-    if any(file.suffix == ".pvtu" for file in files):  # what is left are its pieces
+def _list_numbered(where: Path, candidates: Iterable[Path]) -> tuple[list[Member], list[str]]:
+    """Return files in the order of their numbers; their own times if all have one, else their places."""
+    files = sorted((file for file in candidates if not file.name.startswith(".")), key=_make_natural_key)
+    if any(file.suffix == ".pvtu" for file in files):  # the other files are its pieces
         files = [file for file in files if file.suffix == ".pvtu"]
     if not files:
         raise SeriesError(f"{where}: no series there: no index and no {', '.join(SUFFIXES)} file")
@@ -150,31 +150,31 @@ def _numbered(where: Path, found: Iterable[Path]) -> tuple[list[Member], list[st
     for file in files:
         stems[re.sub(r"\d+", "*", file.name)] += 1
     if len(stems) > 1:
-        found_here = join_names(f"{stem} ({count})" for stem, count in stems.items())
-        raise SeriesError(f"{where}: holds several series, give a pattern: {found_here}")
+        patterns = join_names(f"{stem} ({count})" for stem, count in stems.items())
+        raise SeriesError(f"{where}: holds several series, give a pattern: {patterns}")
     times = [read_times(file) if find_fault(file) is None else None for file in files]
-    known = [one[0] for one in times if one]
+    known = [file_times[0] for file_times in times if file_times]
     if len(known) == len(files):
         return [Member(time, file) for time, file in zip(known, files, strict=True)], []
     if not known:
-        note = "the files say no times; frames are counted from 0" if len(files) > 1 else ""
+        note = "the files have no times; frames are counted from 0" if len(files) > 1 else ""
         return [Member(float(i), file) for i, file in enumerate(files)], [note] if note else []
-    # frames that cannot be read have no time either; they are told of as such
-    unknown = [file for file, one in zip(files, times, strict=True) if not one and find_fault(file) is None]
+    # files that cannot be read have no time either; their faults are reported later
+    unknown = [file for file, own in zip(files, times, strict=True) if not own and find_fault(file) is None]
     if unknown:
-        raise SeriesError(f"{where}: {len(known)} files say their time (TimeValue), {unknown[0].name} does not")
-    return [Member(one[0] if one else float("nan"), file) for one, file in zip(times, files, strict=True)], []
+        raise SeriesError(f"{where}: {len(known)} files have a time (TimeValue), {unknown[0].name} has none")
+    return [Member(own[0] if own else float("nan"), file) for own, file in zip(times, files, strict=True)], []
 
 
-def _natural(file: Path) -> list[tuple[int, str]]:
-    """Return a key by which frame_9 comes before frame_10."""
+def _make_natural_key(file: Path) -> list[tuple[int, str]]:
+    """Return a key that sorts frame_9 before frame_10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", str(file))]
 
 
-def _whole(members: list[Member]) -> tuple[list[Member], list[str]]:
-    """Return the members whose files are there and whole, and a text for each of the others."""
+def _drop_faulty(members: list[Member]) -> tuple[list[Member], list[str]]:
+    """Return the members whose files are whole, and the fault of each of the others."""
     faults = {file: find_fault(file) for file in {member.file for member in members}}
-    if not any(faults.values()):  # as ever with thousands of frames
+    if not any(faults.values()):  # the usual case; saves two passes over thousands of frames
         return members, []
     when = {m: f" at t = {m.time:g} s" if m.time == m.time else "" for m in members}
     texts = [f"{shorten(m.file.name)}{when[m]} {faults[m.file]}" for m in members if faults[m.file]]

@@ -1,4 +1,4 @@
-"""Our own result folders: which frames are ours, and those that a killed run's index does not list yet."""
+"""Our own result folders: whether frames are ours, and frames that the index of a killed run does not list yet."""
 
 import json
 from os import sep
@@ -10,15 +10,15 @@ FRAMES = "frames"
 
 
 def is_own(folder: Path, files: tuple[Path, ...]) -> bool:
-    """Return whether the files are the frames of a run that a run.json beside them tells of."""
+    """Return whether the files are the frames of a run with a run.json beside them."""
     try:
         run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    # by names: pathlib takes as long for a thousand files as it takes to look at them
-    frame, one = str(folder / FRAMES / "frame_"), str(folder / "series.vtkhdf")
+    # compared as text: for a thousand files pathlib takes as long as looking at the files
+    frame, vtkhdf = str(folder / FRAMES / "frame_"), str(folder / "series.vtkhdf")
     known = isinstance(run, dict) and {"status", "case", "versions"} <= run.keys()
-    return known and all(name == one or _is_frame(name, frame) for name in map(str, files))
+    return known and all(name == vtkhdf or _is_frame(name, frame) for name in map(str, files))
 
 
 def _is_frame(name: str, beginning: str) -> bool:
@@ -26,14 +26,14 @@ def _is_frame(name: str, beginning: str) -> bool:
 
 
 def find_unlisted_frames(folder: Path, listed: int) -> list[tuple[float, Path]]:
-    """Return times [s] and files of the complete frames after the listed ones: an index is up to a second behind.
+    """Return times [s] and files of the complete frames after the `listed` ones: an index is up to a second behind.
 
-    They are taken in order; what lies behind a gap is of another run.
+    The first gap ends them; files behind it belong to another run.
     """
-    found: list[tuple[float, Path]] = []
-    while (file := folder / FRAMES / f"frame_{listed + len(found):06d}.vtu").is_file():
+    frames: list[tuple[float, Path]] = []
+    while (file := folder / FRAMES / f"frame_{listed + len(frames):06d}.vtu").is_file():
         times = grids.file_times(file)
         if not times:
             break
-        found.append((times[0], file))
-    return found
+        frames.append((times[0], file))
+    return frames

@@ -1,8 +1,10 @@
-"""A recorded series of frames, replayed as Frames: what views and statistics read."""
+"""A recorded series of frames, read back as Frames: the input of views and statistics."""
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -13,46 +15,70 @@ from pipeline.run.frame import Frame
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
 from pipeline.series.frame_files import Grid, read_grid
 from pipeline.series.layout import Options, SeriesLayout, infer_layout
-from pipeline.series.listing import list_frames
+from pipeline.series.listing import FrameListing, Member, list_frames
 
-_AS_FOUND = Options()
 _LENGTHS = {(): 1, ("axis",): len(AXES), ("quantile",): len(QUANTILES)}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Series:
-    """The frames of a series: a name, the files in order (with the step in each) and their times [s]."""
+    """The frames of a series: where each one is, in the order of their times, and how the files are read."""
 
     name: str
     folder: Path
-    files: tuple[Path, ...]
-    times: tuple[float, ...]
-    steps: tuple[int, ...] = ()
-    options: Options = _AS_FOUND
+    members: tuple[Member, ...]
+    layout: SeriesLayout
     listing_notes: tuple[str, ...] = ()
-    ours: bool = False  # recorded by this program: read without the care that files of others need
+    ours: bool = False  # recorded by this program: read without the care that other files need
 
     def __len__(self) -> int:
-        return len(self.files)
+        return len(self.members)
 
     def __iter__(self) -> Iterator[Frame]:
         return (self.read_frame(i) for i in range(len(self)))
 
-    def select_frames(self, kept: Sequence[int]) -> "Series":
+    def __repr__(self) -> str:
+        return f"<Series {self.name}: {self._describe()}>"
+
+    def _repr_html_(self) -> str:
+        notes = "".join(f"<br>{escape(note)}" for note in self.notes)
+        return f"<b>{escape(self.name)}</b>: {self._describe()}{notes}"
+
+    def _describe(self) -> str:
+        """Return the numbers of frames and cells and the time span."""
+        span = f"t = {self.times[0]:g} to {self.times[-1]:g} s" if len(self) else "no time"
+        return f"{len(self)} frames, {span}, {len(self.mesh.cells)} cells in {self.mesh.dimension}D"
+
+    @cached_property
+    def files(self) -> tuple[Path, ...]:
+        """Return the file of each frame."""
+        return tuple(member.file for member in self.members)
+
+    @cached_property
+    def times(self) -> tuple[float, ...]:
+        """Return the time of each frame [s]."""
+        return tuple(member.time for member in self.members)
+
+    @property
+    def mesh(self) -> Mesh:
+        """Return the rest mesh."""
+        return self.layout.mesh
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return notes on frames left out, cells not measured, and guesses about the files."""
+        return *self.listing_notes, *self.layout.notes
+
+    def select_frames(self, indices: Sequence[int]) -> "Series":
         """Return the series of some of its frames, by their indices in increasing order."""
-        return replace(
-            self,
-            files=tuple(self.files[i] for i in kept),
-            times=tuple(self.times[i] for i in kept),
-            steps=tuple(self.steps[i] for i in kept) if self.steps else (),
-        )
+        return replace(self, members=tuple(self.members[i] for i in indices))
 
     def read_grid(self, index: int) -> Grid:
-        """Return what the files say of one frame, read now; raises SeriesError where it cannot be read."""
-        return read_grid(self.files[index], self.steps[index] if self.steps else 0, ours=self.ours)
+        """Return the content of a frame's file, read now; raises SeriesError if it cannot be read."""
+        return _read_member(self.members[index], ours=self.ours)
 
     def read_frame(self, index: int, grid: Grid | None = None) -> Frame:
-        """Return one frame, read from its file now; raises SeriesError where the file is not one of this series."""
+        """Return one frame, read from its file now; raises SeriesError if the file does not fit the series."""
         grid = self.read_grid(index) if grid is None else grid
         x = self.read_positions(index, grid)
         stepwise = [name for name in STEPS if name in grid.field_data] if self.ours else []
@@ -64,48 +90,55 @@ class Series:
             if value.size == _LENGTHS.get(dims):
                 known[name] = value.reshape([-1] if dims else [])
         step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
-        return Frame(index, self.times[index], self.mesh, x, step=step, v=self._velocity(grid), known=known)
+        return Frame(index, self.members[index].time, self.mesh, x, step=step, v=self._velocity(grid), known=known)
 
     def read_positions(self, index: int, grid: Grid | None = None) -> Floats:
         """Return the positions (n, d) of one frame, read from its file now; raises SeriesError as `read_frame`."""
-        where = f"{self.files[index]}, t = {self.times[index]:g} s"
-        return self.layout.positions(self.read_grid(index) if grid is None else grid, where)
+        member = self.members[index]
+        where = f"{member.file}, t = {member.time:g} s"
+        return self.layout.compute_positions(self.read_grid(index) if grid is None else grid, where)
 
-    def _velocity(self, grid: Grid) -> np.ndarray | None:
+    def _velocity(self, grid: Grid) -> Floats | None:
         v, d = grid.point_data.get("velocity"), self.mesh.dimension
         if v is None or v.ndim != 2 or v.shape[1] < d:
             return None
         v = v if self.layout.nodes is None else v[self.layout.nodes]
         return np.ascontiguousarray(v[:, :d], dtype=np.float64)
 
-    @cached_property
-    def layout(self) -> SeriesLayout:
-        """Return how the files are understood; reads the first frame, and two more where it is not clear from that."""
-        return infer_layout(self.read_grid, len(self), self.options, str(self.files[0]))
-
-    @property
-    def mesh(self) -> Mesh:
-        """Return the rest mesh."""
-        return self.layout.mesh
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Return what a reader should know: frames left out, cells not measured, what was taken for what."""
-        return *self.listing_notes, *self.layout.notes
-
 
 def read_series(
-    path: Path | str, name: str | None = None, *, displacement: str | None = None, rest: str | Path | None = None,
-    strict: bool = False,
+    path: str | os.PathLike[str], name: str | None = None, *, displacement: str | None = None,
+    rest: str | os.PathLike[str] | None = None, strict: bool = False,
 ) -> Series:  # fmt: skip
     """Return the series of an index (.pvd, .series), a folder, a pattern, or a file with steps (.vtkhdf, .xdmf).
 
-    Numbered files lie in a folder or match a pattern ("out/beam_*.vtu"). Frames that are missing or cut off are left
-    out with a note; `strict` refuses them. `displacement` and `rest` are those of Options. Raises SeriesError.
+    A folder or a pattern ("out/beam_*.vtu") holds numbered files. Frames that are missing or cut off are left out
+    with a note; `strict` refuses them. `displacement` and `rest` are those of Options. Raises SeriesError.
     """
-    found = list_frames(Path(path), strict=strict)
-    times, files, steps = zip(*found.members, strict=True)
-    options = Options(displacement, rest)
-    series = Series(name or found.name, found.folder, files, times, steps, options, found.notes, found.ours)
-    _ = series.layout  # what cannot be understood is refused here, not at the first frame
-    return series
+    return open_series(path, name, displacement=displacement, rest=rest, strict=strict)[0]
+
+
+def open_series(
+    path: str | os.PathLike[str], name: str | None = None, *, displacement: str | None = None,
+    rest: str | os.PathLike[str] | None = None, strict: bool = False,
+) -> tuple[Series, Grid]:  # fmt: skip
+    """Return the series as `read_series`, and its first frame, which had to be read for that."""
+    listing = list_frames(Path(path), strict=strict)
+    listing = listing if name is None else listing._replace(name=name)
+    return make_series(listing, Options(displacement, rest))
+
+
+def make_series(listing: FrameListing, options: Options = Options()) -> tuple[Series, Grid]:  # noqa: B008  (frozen)
+    """Return the series of listed frames, and its first frame; raises SeriesError if the layout is ambiguous."""
+    members, ours = listing.members, listing.ours
+    first = _read_member(members[0], ours=ours)
+
+    def read(index: int) -> Grid:
+        return _read_member(members[index], ours=ours)
+
+    layout = infer_layout(first, read, len(members), options, str(members[0].file))
+    return Series(listing.name, listing.folder, members, layout, listing.notes, ours), first
+
+
+def _read_member(member: Member, *, ours: bool) -> Grid:
+    return read_grid(member.file, member.step, ours=ours)

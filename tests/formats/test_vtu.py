@@ -8,6 +8,7 @@ import pytest
 import pyvista
 import vtk
 import xarray
+from xarray.backends.locks import SerializableLock
 
 from pipeline.errors import SeriesError
 from pipeline.formats import vtk_readers as grids
@@ -309,17 +310,17 @@ def test_all_fields_cost_one_reading_of_each_frame(tmp_path, monkeypatch):
 def test_points_are_counted_and_cells_held_once(tmp_path, monkeypatch, mode):
     for i in range(12):
         saved(grid_at(i / 10), tmp_path / f"f{i:02}.vtu", mode=mode, compressor="none")
-    store = engine.FrameStore(read_series(tmp_path))
+    store = engine.FrameStore(read_series(tmp_path), SerializableLock())
     grids = [store.read_grid(i) for i in range(12)]
     size = grids[0].nbytes
     assert POINTS.nbytes <= size < 1.5 * POINTS.nbytes  # in base64 where it is inline
     for name in ("types", "offsets", "connectivity"):
         assert len({id(getattr(grid, name)) for grid in grids}) == 1
     monkeypatch.setattr(engine, "_KEPT_BYTES", 5 * size)
-    store = engine.FrameStore(read_series(tmp_path))
+    store = engine.FrameStore(read_series(tmp_path), SerializableLock())
     for i in range(12):
         store.read_grid(i)
-        assert len(store._kept) == min(i + 1, 5)
+        assert len(store._cache) == min(i + 1, 5)
 
 
 def test_cells_that_change_are_seen_by_every_field(tmp_path):
