@@ -27,9 +27,7 @@ autodoc_default_options = {"members": True, "show-inheritance": True, "exclude-m
 autodoc_preserve_defaults = True
 copybutton_exclude = ".linenos, .gp"
 
-ROOMS = (
-    "case formats mesh fem linear stepping problem run sinks series analysis views results studies system".split()
-)
+ROOMS = "case formats mesh fem linear stepping problem run sinks series analysis views results studies system".split()
 _MARKUP = re.compile(r"(`[^`]+`)|([*_|\\])")
 
 
@@ -57,7 +55,9 @@ def write_gallery() -> None:
     for path in sorted((ROOT / "cases").glob("*.toml")):
         picture = DOCS / "gallery" / f"{path.stem}.png"
         image = f"![The movie's picture of {path.stem}](../gallery/{picture.name})\n" if picture.is_file() else ""
-        parts.append(f"## {path.stem}\n\n{image}\n```{{literalinclude}} ../../cases/{path.name}\n:language: toml\n```\n")
+        parts.append(
+            f"## {path.stem}\n\n{image}\n```{{literalinclude}} ../../cases/{path.name}\n:language: toml\n```\n"
+        )
     (DOCS / "_generated" / "gallery.md").write_text("\n".join(parts), encoding="utf-8")
 
 

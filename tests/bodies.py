@@ -126,7 +126,7 @@ def built(folder: Path, variant: str = "polar", **sections: object) -> Problem:
 def without_figures(monkeypatch) -> None:
     """Figures, which have tests of their own and take a second each, become empty files."""
     blank = types.ModuleType("pipeline.views.plots")
-    for name in ("volume_figure", "energy_figure", "effort_figure", "distance_figure"):
+    for name in ("write_volume_figure", "write_energy_figure", "write_effort_figure", "write_distance_figure"):
         setattr(blank, name, lambda dataset, path, *, title: path.touch())
     monkeypatch.setitem(sys.modules, blank.__name__, blank)
 

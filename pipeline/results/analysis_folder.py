@@ -294,7 +294,7 @@ def _title(series: Sequence[Series]) -> str:
 
 def _figure(path: Path, picture: Path, methods: list[str], title: str, notes: list[str]) -> Path:
     """Draw the volume ratios of a dataset on disk; of long ones some frames, the worst among them."""
-    from pipeline.views.plots import volume_figure
+    from pipeline.views.plots import write_volume_figure
 
     with open_dataset(path) as dataset:
         kept = _drawn(dataset)
@@ -303,16 +303,16 @@ def _figure(path: Path, picture: Path, methods: list[str], title: str, notes: li
         shown = dataset[["volume_ratio", "rest_volume"]].isel(time=kept)
         if "variant" not in dataset.dims:  # after the choice: this reads all that it is given
             shown = shown.assign(volume_ratio=shown["volume_ratio"].expand_dims(variant=methods))
-        volume_figure(shown, picture, title=title)
+        write_volume_figure(shown, picture, title=title)
     return picture
 
 
 def _distances(path: Path, picture: Path, title: str) -> Path:
     """Draw how far the nodes are from those of the first series."""
-    from pipeline.views.plots import distance_figure
+    from pipeline.views.plots import write_distance_figure
 
     with open_dataset(path) as dataset:
-        distance_figure(dataset[["node_distance_worst", "node_distance_rms"]], picture, title=title)
+        write_distance_figure(dataset[["node_distance_worst", "node_distance_rms"]], picture, title=title)
     return picture
 
 

@@ -13,7 +13,7 @@ from pipeline.problem.build import settled
 from pipeline.results.variant import UNFINISHED, determining, read_run
 from pipeline.series import read_series
 from pipeline.sinks.frame_formats import FORMATS
-from pipeline.views.paraview import NAME as SCRIPT
+from pipeline.views.paraview import SCRIPT_NAME as SCRIPT
 from pipeline.views.paraview import write_script
 
 if TYPE_CHECKING:
@@ -47,13 +47,13 @@ def compare(
     statistics = {name: read_dataset(folder / name / "statistics.nc") for name in usable}
     dataset, notes = joined(statistics, title=title)
     write_dataset(dataset, paths["comparison.nc"])
-    from pipeline.views.plots import effort_figure, energy_figure, volume_figure
+    from pipeline.views.plots import write_effort_figure, write_energy_figure, write_volume_figure
 
-    volume_figure(dataset, paths["volume.png"], title=title)
-    energy_figure(dataset, paths["energy.png"], title=title)
+    write_volume_figure(dataset, paths["volume.png"], title=title)
+    write_energy_figure(dataset, paths["energy.png"], title=title)
     made = [paths["comparison.nc"], paths["volume.png"], paths["energy.png"]]
     if chosen := {name: one for name, one in statistics.items() if one.sizes.get("step")}:
-        effort_figure(chosen, folder / _EFFORT, title="The model that each step needed")
+        write_effort_figure(chosen, folder / _EFFORT, title="The model that each step needed")
         made.append(folder / _EFFORT)
     made.append(_paraview(folder, dataset, {n: str(run["case"]["output"]["format"]) for n, run in runs.items()}))
     shown = [name for name in case.movie.variants if name in usable]
@@ -68,11 +68,11 @@ def compare(
 
 def _paraview(folder: Path, dataset: "xarray.Dataset", formats: Mapping[str, str]) -> Path:
     """Write the script that shows the variants in ParaView, all in the colours of one range."""
-    from pipeline.views.track import SAMPLED_CELLS, radius_of
+    from pipeline.views.track import SAMPLED_CELLS, fit_color_radius
 
     ratio = dataset["volume_ratio"].values[..., :: max(1, dataset.sizes["cell"] // SAMPLED_CELLS)]
     indices = {name: f"{name}/{FORMATS[formats[name]].index}" for name in formats}
-    return write_script(folder, indices, radius=radius_of(abs(ratio - 1)))
+    return write_script(folder, indices, radius=fit_color_radius(abs(ratio - 1)))
 
 
 def draw_movie(

@@ -13,16 +13,16 @@ from pipeline.results.comparison import recorded
 from pipeline.results.variant import UNFINISHED, determining, difference, read_run
 from pipeline.series import Series, read_series
 from pipeline.system.version import VERSION
-from pipeline.views.html.blocks import Block, Heading, Listing, Paragraph, Table
-from pipeline.views.html.page import Result, Side, write_page
-from pipeline.views.html.solids import OnFrame
-from pipeline.views.paraview import NAME as SCRIPT
+from pipeline.views.html.blocks import Block, CodeListing, Heading, Paragraph, TableBlock
+from pipeline.views.html.page import PageContent, Side, write_page
+from pipeline.views.html.solids import OnFrameRead
+from pipeline.views.paraview import SCRIPT_NAME as SCRIPT
 
 REPORT = "report.html"
 _AGAIN = "How to make it again"
 
 
-def report_of_folder(folder: Path, on_frame: OnFrame | None = None) -> Path:
+def report_of_folder(folder: Path, on_frame: OnFrameRead | None = None) -> Path:
     """Write report.html of a result folder from its frames and datasets, and return its path.
 
     `on_frame(variant, done, frames)` is called after each frame that is read.
@@ -47,7 +47,7 @@ def report_of_folder(folder: Path, on_frame: OnFrame | None = None) -> Path:
     movie, poster = (folder / f"comparison.{ending}" for ending in ("mp4", "png"))
     title = case.movie.title or case.name.replace("_", " ")
     closing = [*_settings(case, folder), *_made_by(next(iter(runs.values()))), *_again(folder)]
-    result = Result(
+    result = PageContent(
         title, tuple(sides), closing, notes, movie if movie.is_file() else None, poster if poster.is_file() else None
     )
     return write_page(result, folder / REPORT, on_frame)
@@ -83,8 +83,8 @@ def report_of_analysis(found: Analysis | Comparison, series: Sequence[Series], c
     )
     movie, poster = (found.folder / f"movie.{ending}" for ending in ("mp4", "png"))
     closing: list[Block] = _apart(found) if isinstance(found, Comparison) else []
-    closing += [Heading(_AGAIN), Listing(command), Paragraph(f"Measured by pipeline {VERSION}.")]
-    result = Result(
+    closing += [Heading(_AGAIN), CodeListing(command), Paragraph(f"Measured by pipeline {VERSION}.")]
+    result = PageContent(
         ", ".join(side.label for side in sides), sides, closing, found.notes,
         movie if movie in found.made else None, poster if poster in found.made else None,
     )  # fmt: skip
@@ -101,7 +101,7 @@ def _apart(found: Comparison) -> list[Block]:
         for one in found.node_distances
     ]
     text = f"How far the nodes are from those of {found.analyses[0].name}; distance.png has it over time."
-    return [Heading("Difference of nodes"), Paragraph(text), Table(head, rows)]
+    return [Heading("Difference of nodes"), Paragraph(text), TableBlock(head, rows)]
 
 
 def _facts(run: Mapping[str, Any]) -> dict[str, str]:
@@ -115,12 +115,12 @@ def _facts(run: Mapping[str, Any]) -> dict[str, str]:
 
 def _settings(case: Case, folder: Path) -> list[Block]:
     text = "The case as it was run, all defaults written out; it is `case.toml` in the result folder."
-    return [Heading("Settings"), Paragraph(text), Listing(case.to_toml(folder))]
+    return [Heading("Settings"), Paragraph(text), CodeListing(case.to_toml(folder))]
 
 
 def _made_by(run: Mapping[str, Any]) -> list[Block]:
     rows = [(name, str(value)) for part in ("versions", "machine") for name, value in run[part].items()]
-    return [Heading("Versions"), Table(("what", "which"), rows)]
+    return [Heading("Versions"), TableBlock(("what", "which"), rows)]
 
 
 def _again(folder: Path) -> list[Block]:
@@ -131,4 +131,4 @@ def _again(folder: Path) -> list[Block]:
         f"pipeline report {place}    # write this page again",
         f"paraview --script={place}/{SCRIPT}    # look into every frame",
     )
-    return [Heading(_AGAIN), Listing("\n".join(lines))]
+    return [Heading(_AGAIN), CodeListing("\n".join(lines))]

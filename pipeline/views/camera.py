@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.arrays import Floats
-from pipeline.views.track import Track, drawn_points
+from pipeline.views.track import Track, list_drawn_points
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,20 +20,20 @@ class Camera:
     high: Floats
 
     @property
-    def centre(self) -> Floats:
+    def center(self) -> Floats:
         """Return the middle of the bounds, in space."""
         middle = (self.low + self.high) / 2
         return np.asarray(middle @ np.stack([self.right, self.up, self.toward]))
 
     def pixel_size(self, width: float, height: float) -> float:
-        """Return metres a pixel such that everything fits into a panel with a margin of 3 %."""
+        """Return meters a pixel such that everything fits into a panel with a margin of 3 %."""
         across, upward = np.maximum(self.high - self.low, 1e-12)[:2]
         return float(max(across / width, upward / height) / 0.94)
 
 
 def fit_camera(tracks: Sequence[Track]) -> Camera:
     """Return the camera for bodies: z up, the longer of x and y to the side; in the plane y up, seen along -z."""
-    points = np.concatenate([drawn_points(track) for track in tracks])
+    points = np.concatenate([list_drawn_points(track) for track in tracks])
     if all(track.dimension == 2 for track in tracks):
         toward, upward = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
     else:

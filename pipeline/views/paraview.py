@@ -5,16 +5,16 @@ from pathlib import Path
 
 from pipeline.formats.atomic import write_whole
 
-NAME = "open_in_paraview.py"
+SCRIPT_NAME = "open_in_paraview.py"
 _GAP = 0.25  # of a body's width, between two of them
 
 
 def write_script(folder: Path, indices: Mapping[str, str], *, radius: float) -> Path:
     """Write the script for variants by name, each with the file that lists its frames, and return its path.
 
-    `radius` is r of the common colour range [1 - r, 1 + r] of the volume ratio. Raises OutputError.
+    `radius` is r of the common color range [1 - r, 1 + r] of the volume ratio. Raises OutputError.
     """
-    path = folder / NAME
+    path = folder / SCRIPT_NAME
     text = _SCRIPT
     for mark, value in {
         "@VARIANTS@": _listed(indices),
@@ -32,7 +32,7 @@ def _listed(indices: Mapping[str, str]) -> str:
     return "".join(["[\n", *rows, "]"])
 
 
-_SCRIPT = '''"""The variants side by side in ParaView, coloured by volume ratio.
+_SCRIPT = '''"""The variants side by side in ParaView, colored by volume ratio.
 
     paraview --script=open_in_paraview.py          or, in the window: Tools > Python Shell > Run Script
     pvbatch open_in_paraview.py --screenshot picture.png [--time 0.35]     (without a screen: xvfb-run -a pvbatch …)
@@ -46,7 +46,7 @@ import sys
 
 from paraview import simple
 
-RADIUS = @RADIUS@  # colours from 1 - RADIUS to 1 + RADIUS
+RADIUS = @RADIUS@  # colors from 1 - RADIUS to 1 + RADIUS
 VARIANTS = @VARIANTS@  # name, file
 INK = [0.1, 0.1, 0.15]
 
@@ -106,7 +106,7 @@ def write(view, item, where, size):
         text.Position = where
 
 
-def colour_bar(view, display, table):
+def color_bar(view, display, table):
     """Show the one bar: a diverging map about 1, its range fixed for all times."""
     display.SetScalarBarVisibility(view, True)
     bar = simple.GetScalarBar(table, view)
@@ -137,12 +137,12 @@ def scene():
         display = show(view, reader, name, [i * step * a for a in right], table)
     count = len(readers)
     aspect = view.ViewSize[0] / max(view.ViewSize[1], 1)
-    half = 0.5 * max(count * step / aspect, height / 0.7)  # of the window's height, in metres
+    half = 0.5 * max(count * step / aspect, height / 0.7)  # of the window's height, in meters
     for i, (name, _) in enumerate(VARIANTS):
         place = 0.5 + (i - (count - 1) / 2) * step / (2 * half * aspect)
         label = simple.Text(registrationName=name + ", label", Text=name.replace("_", " "))
         write(view, label, [place - 0.0045 * len(name), min(0.53 + height / (4 * half), 0.94)], 18)
-    colour_bar(view, display, table)
+    color_bar(view, display, table)
     clock = simple.AnnotateTimeFilter(registrationName="time", Input=readers[0], Format="t = {time:.3f} s")
     write(view, clock, "Lower Right Corner", 16)
     middle = [a + b / 2 + (count - 1) / 2 * step * c for a, b, c in zip(low, size, right)]

@@ -1,4 +1,4 @@
-"""Figures of a comparison dataset: volume ratio of every cell, and energies, over time."""
+"""Figures of a comparison dataset: volume ratio of every cell, energies, distances and solves over time."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,158 +8,149 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.errors import OutputError
-from pipeline.formats.atomic import whole_file
+from pipeline.views.figures import make_panels, open_figure
+from pipeline.views.palette import BANDS, BLUE, ENERGIES, FAINT, GREEN, INK, SOFT, VERMILION
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     import xarray
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MOST_LINES = 2000  # more lines than this merge into one patch and take seconds to draw
-# Okabe and Ito: told apart with any colour vision, and in grey by lightness
-BLUE, VERMILION, GREEN, BLACK = "#0072B2", "#D55E00", "#009E73", "#1b1e28"
-BANDS = ((0.0, 1.0, 0.14), (0.05, 0.95, 0.22), (0.25, 0.75, 0.34))  # lower and upper quantile, opacity
-ENERGIES = {"kinetic": (BLUE, "-"), "elastic": (VERMILION, "--"), "potential": (GREEN, "-.")}
-STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans", "font.size": 10, "axes.spines.top": False, "axes.edgecolor": "#626875",
-    "axes.labelcolor": BLACK, "xtick.color": "#626875", "ytick.color": "#626875", "axes.titleweight": "bold",
-}  # fmt: skip
+RUNGS = (("linear", GREEN), ("corotational", BLUE), ("converged", VERMILION))  # by step_rung
 
 
-def volume_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
-    """Write the volume ratio of every cell over time, a panel a variant, the worst cell marked.
+def write_volume_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
+    """Write the volume ratio of every cell over time, one panel for each variant, the worst cell marked.
 
-    Takes volume_ratio (variant, time, cell) and rest_volume (cell). Above 2000 cells bands of quantiles
-    stand for the lines. NaN, as after a failure, is left out. Raises OutputError where it cannot write.
+    Takes volume_ratio (variant, time, cell) and rest_volume (cell). Above 2000 cells, bands of quantiles
+    replace the lines. Frames with NaN, as after a failure, are left out. Raises OutputError if the file
+    cannot be written.
     """
-    from matplotlib import rc_context
-
-    with rc_context(STYLE):
-        methods = [str(name) for name in dataset["variant"].values]
-        figure, panels = _panels(len(methods), title)
-        time = dataset["time"].values
-        ratio = dataset["volume_ratio"].transpose("variant", "time", "cell").values
-        for axes, name, values in zip(panels, methods, ratio, strict=True):
-            axes.set_title(name, loc="left", fontsize=11, color=BLACK)
+    variants, time = _names(dataset), dataset["time"].values
+    ratio = dataset["volume_ratio"].transpose("variant", "time", "cell").values
+    with _open_panels(path, len(variants), title) as figure:
+        panels = _make_panels(figure, variants)
+        for axes, values in zip(panels, ratio, strict=True):
             _draw_ratios(axes, time, values)
         cells = ratio.shape[2]
-        meaning = "light to dark: extremes, 5-95 %, 25-75 %, median" if cells > MOST_LINES else "one line each"
-        figure.supxlabel(f"{cells} cells, {meaning}; the worst one in colour", fontsize=8, color="#626875")
-        _limits(panels, time, ratio)
+        meaning = "light to dark: extremes, 5–95 %, 25–75 %, median" if cells > MOST_LINES else "one line each"
+        figure.supxlabel(f"{cells} cells, {meaning}; the worst cell in color", fontsize=8, color=SOFT)
+        _set_limits(panels, time, ratio)
         _label_outer(panels, "volume ratio V / V₀")
         rest = dataset["rest_volume"].values
         # 1e-6: far above rounding, far below what the axis can show
         if np.ptp(rest) <= 1e-6 * rest.max():
-            _volume_axis(panels[-1], float(rest.mean()), str(dataset["rest_volume"].attrs.get("units", "m3")))
-        _save(figure, path)
+            _add_volume_axis(panels[-1], float(rest.mean()), str(dataset["rest_volume"].attrs.get("units", "m3")))
 
 
-def energy_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
-    """Write kinetic, elastic, potential and total energy over time, a panel a variant.
+def write_energy_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
+    """Write kinetic, elastic, potential and total energy over time, one panel for each variant.
 
-    The total is that of the parts present. Raises OutputError where there is none of them.
+    The total is that of the parts present. Raises OutputError if the dataset has none of them or if the
+    file cannot be written.
     """
-    from matplotlib import rc_context
-
     present = [name for name in ENERGIES if f"{name}_energy" in dataset]
     if not present:
         raise OutputError(f"{path}: no energies to draw: the dataset has none of {', '.join(ENERGIES)}_energy")
-    with rc_context(STYLE):
-        methods = [str(name) for name in dataset["variant"].values]
-        figure, panels = _panels(len(methods), title)
-        time = dataset["time"].values
-        scale, prefix = _prefix(max(float(np.nan_to_num(np.abs(dataset[f"{n}_energy"].values)).max()) for n in present))
-        for i, (axes, method) in enumerate(zip(panels, methods, strict=True)):
-            axes.set_title(method, loc="left", fontsize=11, color=BLACK)
-            axes.axhline(0, color="#b0b5bf", linewidth=0.8)
-            parts = {n: dataset[f"{n}_energy"].transpose("variant", "time").values[i] / scale for n in present}
+    variants, time = _names(dataset), dataset["time"].values
+    energies = {name: dataset[f"{name}_energy"].transpose("variant", "time").values for name in present}
+    scale, prefix = _choose_prefix(max(float(np.nan_to_num(np.abs(values)).max()) for values in energies.values()))
+    with _open_panels(path, len(variants), title) as figure:
+        panels = _make_panels(figure, variants)
+        for i, axes in enumerate(panels):
+            axes.axhline(0, color=FAINT, linewidth=0.8)
+            parts = {name: values[i] / scale for name, values in energies.items()}
             for name, values in parts.items():
-                colour, dashes = ENERGIES[name]
-                axes.plot(time, values, dashes, color=colour, linewidth=1.5, label=name)
+                color, dashes = ENERGIES[name]
+                axes.plot(time, values, dashes, color=color, linewidth=1.5, label=name)
             if len(parts) > 1:
-                axes.plot(time, sum(parts.values()), color=BLACK, linewidth=2.0, label="total")
+                axes.plot(time, sum(parts.values()), color=INK, linewidth=2.0, label="total")
         panels[0].set_xlim(*_time_limits(time))
         unit = str(dataset[f"{present[0]}_energy"].attrs.get("units", "J"))
         _label_outer(panels, f"energy [{prefix}{unit}]")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
-        _save(figure, path)
+        _add_legend(figure, panels[0], columns=4)
 
 
-def distance_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
-    """Write how far the nodes of each series are from those of the first over time, a panel each.
+def write_distance_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
+    """Write the distance of each series' nodes from those of the first series over time, one panel for each.
 
-    Takes node_distance_worst and node_distance_rms (variant, time). Raises OutputError where it cannot write.
+    Takes node_distance_worst and node_distance_rms (variant, time). Raises OutputError if the file cannot
+    be written.
     """
-    from matplotlib import rc_context
-
-    with rc_context(STYLE):
-        names, time = [str(name) for name in dataset["variant"].values], dataset["time"].values
-        figure, panels = _panels(len(names) - 1, title)
-        lines = (("worst node", "node_distance_worst", VERMILION, "-"), ("RMS of all", "node_distance_rms", BLUE, "--"))
-        for i, (axes, name) in enumerate(zip(panels, names[1:], strict=True), start=1):
-            axes.set_title(f"{name}, from {names[0]}", loc="left", fontsize=11, color=BLACK)
-            for label, variable, colour, dashes in lines:
+    variants, time = _names(dataset), dataset["time"].values
+    lines = (("worst node", "node_distance_worst", VERMILION, "-"), ("RMS of all", "node_distance_rms", BLUE, "--"))
+    with _open_panels(path, len(variants) - 1, title) as figure:
+        panels = _make_panels(figure, [f"{name}, from {variants[0]}" for name in variants[1:]])
+        for i, axes in enumerate(panels, start=1):
+            for label, variable, color, dashes in lines:
                 values = dataset[variable].transpose("variant", "time").values[i]
-                axes.plot(time, values, dashes, color=colour, linewidth=1.5, label=label)
+                axes.plot(time, values, dashes, color=color, linewidth=1.5, label=label)
         panels[0].set_xlim(*_time_limits(time))
         panels[0].set_ylim(bottom=0)
-        _label_outer(panels, "distance of nodes [m]")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
-        _save(figure, path)
+        _label_outer(panels, "node distance [m]")
+        _add_legend(figure, panels[0], columns=2)
 
 
-RUNGS = (("linear", GREEN), ("corotational", BLUE), ("converged", VERMILION))
+def write_effort_figure(datasets: "Mapping[str, xarray.Dataset]", path: Path, *, title: str) -> None:
+    """Write the model and the number of solves of every step of model = "auto", one panel for each variant.
 
-
-def effort_figure(datasets: "Mapping[str, xarray.Dataset]", path: Path, *, title: str) -> None:
-    """Write which model every step of model = "auto" needed, and how many solves, a panel a variant.
-
-    Takes step_rung and step_solves (step) of each variant. Raises OutputError where it cannot write.
+    Takes step_rung and step_solves (step) of each variant. Raises OutputError if the file cannot be written.
     """
-    from matplotlib import rc_context
     from matplotlib.patches import Patch
     from matplotlib.ticker import MaxNLocator
 
-    with rc_context(STYLE):
-        figure, panels = _panels(len(datasets), title)
-        for axes, (name, dataset) in zip(panels, datasets.items(), strict=True):
+    with _open_panels(path, len(datasets), title) as figure:
+        panels = _make_panels(figure, [f"{name}: {_count_rungs(dataset)} steps" for name, dataset in datasets.items()])
+        for axes, dataset in zip(panels, datasets.values(), strict=True):
             step, solves, rung = (dataset[n].values for n in ("step", "step_solves", "step_rung"))
-            counts = [int((rung == i).sum()) for i in range(len(RUNGS))]
-            for i, (_, colour) in enumerate(RUNGS):
-                axes.bar(step[rung == i], solves[rung == i], width=1.0, color=colour, linewidth=0)
-            told = ", ".join(f"{n} {label}" for n, (label, _) in zip(counts, RUNGS, strict=True) if n)
-            axes.set_title(f"{name}: {told} steps", loc="left", fontsize=11, color=BLACK)
+            for i, (_, color) in enumerate(RUNGS):
+                axes.bar(step[rung == i], solves[rung == i], width=1.0, color=color, linewidth=0)
         _label_outer(panels, "solves")
         for axes in panels:
             axes.yaxis.set_major_locator(MaxNLocator(integer=True))
             axes.set_xlabel("step" if axes.get_xlabel() else "")
-        handles = [Patch(color=colour, label=label) for label, colour in RUNGS]
+        handles = [Patch(color=color, label=label) for label, color in RUNGS]
         figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
-        _save(figure, path)
 
 
-def _prefix(largest: float) -> tuple[float, str]:
+def _count_rungs(dataset: "xarray.Dataset") -> str:
+    counts = [(int((dataset["step_rung"].values == i).sum()), label) for i, (label, _) in enumerate(RUNGS)]
+    return ", ".join(f"{n} {label}" for n, label in counts if n)
+
+
+def _names(dataset: "xarray.Dataset") -> list[str]:
+    return [str(name) for name in dataset["variant"].values]
+
+
+def _choose_prefix(largest: float) -> tuple[float, str]:
     """Return the power of 1000, and its letter, that leaves one to three digits before the point."""
     return next(((f, p) for f, p in ((1e9, "G"), (1e6, "M"), (1e3, "k")) if largest >= f), (1.0, ""))
 
 
-def _panels(count: int, title: str) -> "tuple[Figure, list[Axes]]":
-    """Return a figure and its axes, shared, at most three in a row."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def _count_columns(count: int) -> int:
+    return 2 if count == 4 else min(count, 3)
 
-    columns = min(count, 3) if count != 4 else 2
-    rows = -(-count // columns)
-    figure = Figure(figsize=(2.0 + 4.0 * columns + (2.0 if columns == 1 else 0), 1.2 + 3.4 * rows), dpi=150)
-    FigureCanvasAgg(figure)
-    figure.set_layout_engine("constrained", wspace=0.04, hspace=0.06)
-    figure.suptitle(title, fontsize=14, fontweight="bold", color=BLACK)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for empty in grid.ravel()[count:]:
-        empty.set_visible(False)
-    return figure, list(grid.ravel()[:count])
+
+def _open_panels(path: Path, count: int, title: str) -> "AbstractContextManager[Figure]":
+    """Return a figure, to be entered, with room for `count` panels, at most three in a row."""
+    columns = _count_columns(count)
+    size = (2.0 + 4.0 * columns + (2.0 if columns == 1 else 0), 1.2 + 3.4 * -(-count // columns))
+    return open_figure(path, size, dpi=150, title=title, wspace=0.04, hspace=0.06)
+
+
+def _make_panels(figure: "Figure", titles: list[str]) -> "list[Axes]":
+    panels = make_panels(figure, len(titles), _count_columns(len(titles)), share=True)
+    for axes, title in zip(panels, titles, strict=True):
+        axes.set_title(title, loc="left", fontsize=11, color=INK)
+    return panels
+
+
+def _add_legend(figure: "Figure", axes: "Axes", *, columns: int) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
 
 
 def _label_outer(panels: "list[Axes]", quantity: str) -> None:
@@ -181,32 +172,32 @@ def _draw_ratios(axes: "Axes", time: Floats, values: Floats) -> None:
     """Draw one variant (time, cell): thin lines or bands, the level 1, and the worst cell."""
     from matplotlib.collections import LineCollection
 
-    axes.axhline(1, color=BLACK, linewidth=0.9, linestyle=(0, (4, 3)), zorder=2)
+    axes.axhline(1, color=INK, linewidth=0.9, linestyle=(0, (4, 3)), zorder=2)
     good = np.isfinite(values).all(axis=1)
     if not good.any():
-        axes.text(0.5, 0.5, "no frame", transform=axes.transAxes, ha="center", color="#626875")
+        axes.text(0.5, 0.5, "no frame", transform=axes.transAxes, ha="center", color=SOFT)
         return
-    t, kept = time[good], values[good]
-    cells = kept.shape[1]
+    t, ratio = time[good], values[good]
+    cells = ratio.shape[1]
     if cells > MOST_LINES:
         for low, high, opacity in BANDS:
-            edges = np.quantile(kept, [low, high], axis=1)
+            edges = np.quantile(ratio, [low, high], axis=1)
             axes.fill_between(t, edges[0], edges[1], color=BLUE, alpha=opacity, linewidth=0, zorder=1)
-        axes.plot(t, np.median(kept, axis=1), color=BLUE, linewidth=1.2, zorder=2)
+        axes.plot(t, np.median(ratio, axis=1), color=BLUE, linewidth=1.2, zorder=2)
     else:
-        lines = np.stack([np.broadcast_to(t, (cells, len(t))), kept.T], axis=-1)
+        lines = np.stack([np.broadcast_to(t, (cells, len(t))), ratio.T], axis=-1)
         opacity = float(np.clip(30 / cells, 0.06, 0.6))
         axes.add_collection(LineCollection(list(lines), colors=BLUE, alpha=opacity, linewidths=0.6, zorder=1))
     if not good.all():
         axes.set_title(f"ends after t = {t[-1]:.4g} s", loc="right", fontsize=9, fontweight="normal", color=VERMILION)
-    _mark_worst(axes, t, kept, early=(t[0] + t[-1]) / 2 < (time[0] + time[-1]) / 2)
+    _mark_worst(axes, t, ratio, early=(t[0] + t[-1]) / 2 < (time[0] + time[-1]) / 2)
 
 
-def _mark_worst(axes: "Axes", t: Floats, kept: Floats, *, early: bool) -> None:
+def _mark_worst(axes: "Axes", t: Floats, ratio: Floats, *, early: bool) -> None:
     """Draw the cell with the largest |J - 1| strongly, and say which and when beside its peak."""
-    when, cell = np.unravel_index(int(np.abs(kept - 1).argmax()), kept.shape)
-    value = kept[when, cell]
-    axes.plot(t, kept[:, cell], color=VERMILION, linewidth=1.8, zorder=3)
+    when, cell = np.unravel_index(int(np.abs(ratio - 1).argmax()), ratio.shape)
+    value = ratio[when, cell]
+    axes.plot(t, ratio[:, cell], color=VERMILION, linewidth=1.8, zorder=3)
     axes.plot(t[when], value, "o", color=VERMILION, markersize=5, markeredgecolor="white", zorder=4)
     rightward, upward = early or t[when] < (t[0] + t[-1]) / 2, value > 1
     axes.annotate(
@@ -226,7 +217,7 @@ def _time_limits(time: Floats) -> tuple[float, float]:
     return (float(time[0]), float(time[-1])) if len(time) > 1 else (float(time[0]) - 0.5, float(time[0]) + 0.5)
 
 
-def _limits(panels: "list[Axes]", time: Floats, ratio: Floats) -> None:
+def _set_limits(panels: "list[Axes]", time: Floats, ratio: Floats) -> None:
     """Give all panels the range of all values, at least 1 % to either side of 1."""
     finite = ratio[np.isfinite(ratio)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (1.0, 1.0)
@@ -235,7 +226,7 @@ def _limits(panels: "list[Axes]", time: Floats, ratio: Floats) -> None:
     panels[0].set_xlim(*_time_limits(time))
 
 
-def _volume_axis(axes: "Axes", rest: float, unit: str) -> None:
+def _add_volume_axis(axes: "Axes", rest: float, unit: str) -> None:
     """Add volumes at the right: all cells have the same rest volume, so ratio and volume are one curve."""
 
     def to_volume(ratio: Any) -> Any:
@@ -246,9 +237,3 @@ def _volume_axis(axes: "Axes", rest: float, unit: str) -> None:
 
     right = axes.secondary_yaxis("right", functions=(to_volume, to_ratio))
     right.set_ylabel(f"volume of a cell [{unit.replace('m3', 'm³').replace('m2', 'm²')}]")
-
-
-def _save(figure: "Figure", path: Path) -> None:
-    with whole_file(path) as temporary:
-        # no version in the file: the same results are the same bytes
-        figure.savefig(temporary, metadata={"Software": None} if path.suffix == ".png" else None)

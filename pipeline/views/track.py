@@ -11,9 +11,9 @@ from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.mesh.surface import boundary_faces
 from pipeline.series import Series
 
-# half-widths of a colour range that give readable ticks; 1 is the last, as its lower end is V = 0
+# half-widths of a color range that give readable ticks; 1 is the last, as its lower end is V = 0
 RADII = (0.02, 0.04, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
-SAMPLED_CELLS = 2000  # a frame's share in the colour range: enough for a quantile, whatever the mesh
+SAMPLED_CELLS = 2000  # a frame's share in the color range: enough for a quantile, whatever the mesh
 EXPLODED = 20.0  # a frame this many rest sizes wide is a blown-up one: fitting it would shrink the rest to a dot
 
 
@@ -54,7 +54,7 @@ class Track:
         return bool(end - self.times[-1] > max(0.5 * last, 1e-9 * abs(end)))
 
 
-def surface(mesh: Mesh) -> tuple[Ints, Ints]:
+def find_drawn_faces(mesh: Mesh) -> tuple[Ints, Ints]:
     """Return the triangles that are drawn (f, 3) and the cell that each shows (f,)."""
     if mesh.dimension == 2:
         return mesh.cells, np.arange(len(mesh.cells))
@@ -64,7 +64,7 @@ def surface(mesh: Mesh) -> tuple[Ints, Ints]:
 def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda: None) -> Track:
     """Return the whole motion of a series, each file read once; raises SeriesError where one cannot be."""
     mesh = series.mesh
-    faces, owner = surface(mesh)
+    faces, owner = find_drawn_faces(mesh)
     nodes, local = np.unique(faces, return_inverse=True)
     count, rest_total = len(series), mesh.rest_volumes.sum()
     points = np.zeros((count, len(nodes), 3), dtype=np.float32)
@@ -91,24 +91,24 @@ def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda:
     )  # fmt: skip
 
 
-def colour_radius(tracks: Sequence[Track]) -> float:
-    """Return r of the colour range [1 - r, 1 + r]: cells within it hold 60 % of all |V / V0 - 1| over all frames.
+def choose_color_radius(tracks: Sequence[Track]) -> float:
+    """Return r of the color range [1 - r, 1 + r]: cells within it hold 60 % of all |V / V0 - 1| over all frames.
 
     Weighted by the deviation itself, so that neither a long rest after a short motion nor one bad cell decides:
     unweighted, the thesis bar, at rest for six of seven seconds, would get a range of 2 % for a motion of 100 %.
     """
-    return radius_of(np.concatenate([track.sample for track in tracks]))
+    return fit_color_radius(np.concatenate([track.sample for track in tracks]))
 
 
-def radius_of(deviations: NDArray[np.floating]) -> float:
-    """Return r of the colour range for all |V / V0 - 1| of a motion, or a sample of them."""
+def fit_color_radius(deviations: NDArray[np.floating]) -> float:
+    """Return r of the color range for all |V / V0 - 1| of a motion, or a sample of them."""
     pooled = np.sort(deviations[np.isfinite(deviations)].astype(np.float64), axis=None)
     held = np.cumsum(pooled)
     wanted = pooled[np.searchsorted(held, 0.6 * held[-1])] if pooled.size else 0.0
     return next((r for r in RADII if r >= wanted), RADII[-1])
 
 
-def drawn_points(track: Track) -> Floats:
+def list_drawn_points(track: Track) -> Floats:
     """Return every point that the camera has to see (k, 3): rest and all frames that did not explode."""
     size = np.linalg.norm(np.ptp(track.rest, axis=0))
     extent = np.linalg.norm(np.ptp(track.points, axis=1), axis=-1)
@@ -116,7 +116,9 @@ def drawn_points(track: Track) -> Floats:
     return np.concatenate([track.rest, track.points[keep].reshape(-1, 3)]).astype(np.float64)
 
 
-def sharp_edges(points: NDArray[np.float32], faces: Ints, toward: Floats, angle: float = 50.0) -> tuple[Ints, Ints]:
+def find_sharp_edges(
+    points: NDArray[np.float32], faces: Ints, toward: Floats, angle: float = 50.0
+) -> tuple[Ints, Ints]:
     """Return the creases (k, 2) of a triangle surface, and the edges (m, 2) of its contour seen from a direction.
 
     An edge of one triangle only counts as a crease: in the plane those are the outline.

@@ -19,7 +19,7 @@ from pipeline.studies.thesis.published import CORRECTIONS, FIGURES, NUMBERS, SCE
 from pipeline.studies.thesis.report import kind_of, make_report
 from pipeline.studies.thesis.verbal_claims import TESTS as STATEMENT_TESTS
 from pipeline.studies.thesis.verdicts import find, judge
-from pipeline.views.html.blocks import Heading, Paragraph, Picture, Table, html, markdown
+from pipeline.views.html.blocks import Heading, Paragraph, Picture, TableBlock, render_html, render_markdown
 from tests.bodies import METHODS, motion, solid, spin, thesis_bar
 
 NUMBER = Number("bar: largest volume", "2.0", 2.0, 0.02, "T 1.2", "bar", "linear", "largest_volume")
@@ -192,21 +192,21 @@ def test_nothing_run_is_said_and_not_hidden(bar, tmp_path):
     report = make_report({}, bar, tmp_path)
     # the stability of a free spin needs no scene, and neither do corrections and damping
     assert report.count("not reproduced") == len(report.verdicts)
-    text = markdown(report.blocks, tmp_path)
+    text = render_markdown(report.blocks, tmp_path)
     assert text.count("not reproduced: not run") == len(report.verdicts) - 1
     assert "`bar_as_printed` was not run." in text
 
 
 def test_texts_are_escaped(tmp_path):
-    blocks = [Heading("a < b", 1), Paragraph("x & `y<z` **strong**"), Table(("|",), [("a|b", "<i>")])]
-    page = html(blocks)
+    blocks = [Heading("a < b", 1), Paragraph("x & `y<z` **strong**"), TableBlock(("|",), [("a|b", "<i>")])]
+    page = render_html(blocks)
     assert "a &lt; b" in page and "x &amp; <code>y&lt;z</code> <strong>strong</strong>" in page and "<i>" not in page
-    assert r"a\|b" in markdown(blocks, tmp_path)
+    assert r"a\|b" in render_markdown(blocks, tmp_path)
 
 
 def test_a_picture_that_is_gone_is_an_output_error(tmp_path):
     with pytest.raises(OutputError, match=r"gone\.png"):
-        html([Heading("t", 1), Picture(tmp_path / "gone.png", "gone")])
+        render_html([Heading("t", 1), Picture(tmp_path / "gone.png", "gone")])
 
 
 def test_the_verb_passes_its_options_on(monkeypatch, tmp_path, short, capsys):

@@ -11,9 +11,9 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.mesh.surface import boundary_faces
 from pipeline.series import Series, read_series
 from pipeline.views.camera import fit_camera
-from pipeline.views.movie.layout import Layout, choose_layout
-from pipeline.views.movie.movie import MovieSummary, poster_time, timeline, write_movie
-from pipeline.views.track import RADII, colour_radius, read_track, sharp_edges
+from pipeline.views.movie.layout import PictureLayout, choose_layout
+from pipeline.views.movie.movie import MovieSummary, find_poster_time, plan_timeline, write_movie
+from pipeline.views.track import RADII, choose_color_radius, find_sharp_edges, read_track
 
 SIZE = (640, 360)
 TETRA, TRIANGLE = 10, 5
@@ -92,8 +92,8 @@ def make(tmp_path, series, **options) -> tuple[MovieSummary, np.ndarray]:
     return summary, film(path)
 
 
-def colourful(pixels) -> int:
-    """Return the number of pixels that are neither white nor any grey: the bodies and the colour bar."""
+def colorful(pixels) -> int:
+    """Return the number of pixels that are neither white nor any gray: the bodies and the color bar."""
     return int((np.ptp(pixels.astype(int), axis=-1) > 40).sum())
 
 
@@ -121,7 +121,7 @@ def test_two_panels_are_synchronous_complete_and_exact_in_size(tmp_path):
 
     with Image.open(poster) as picture:
         assert picture.size == SIZE
-        assert colourful(np.asarray(picture)) > 2000
+        assert colorful(np.asarray(picture)) > 2000
     assert summary.poster_time == pytest.approx(3.0)
 
 
@@ -181,7 +181,7 @@ def test_more_panels(tmp_path, count):
     series = [record(tmp_path / str(i), *box(), steps(3)) for i in range(count)]
     _, frames = make(tmp_path, series, fps=5)
     assert frames.shape[1:] == (SIZE[1], SIZE[0], 3)
-    assert colourful(frames[-1, 60:270]) > 1000
+    assert colorful(frames[-1, 60:270]) > 1000
 
 
 @pytest.mark.opengl
@@ -246,7 +246,7 @@ def test_wrong_numbers_of_panels_and_labels(tmp_path):
 def test_every_record_is_shown_when_the_rate_allows_it(tmp_path):
     # 0.07 and its multiples have no exact binary form
     track = read_track(record(tmp_path / "s", *box((1, 1, 1)), [0.07 * i for i in range(40)]), "")
-    line = timeline([track], 1.0, 30)
+    line = plan_timeline([track], 1.0, 30)
     assert {track.at(line.time(k)) for k in range(line.frames)} == set(range(40))
     assert line.time(line.frames - 1) == track.times[-1]
     assert track.at(-1.0) == 0
@@ -260,15 +260,15 @@ def test_only_a_missing_frame_counts_as_an_early_end(tmp_path):
     assert track.ends_before(1.5)
 
 
-def test_colours_hold_most_cells_and_the_poster_the_worst(tmp_path):
+def test_colors_hold_most_cells_and_the_poster_the_worst(tmp_path):
     def pulse(points, t):
         return points * (1 + (0.1 if t == 0.2 else 0.01 * t))
 
     track = read_track(record(tmp_path / "s", *box((1, 2, 1)), steps(21), pulse), "")
-    assert poster_time([track]) == pytest.approx(0.2)
+    assert find_poster_time([track]) == pytest.approx(0.2)
     assert track.total[2] == pytest.approx(1.1**3)
     assert track.worst[2] == pytest.approx(1.1**3 - 1)
-    radius = colour_radius([track])
+    radius = choose_color_radius([track])
     assert radius == 0.1  # slow growth reaches 1.02^3 - 1 = 0.061; the one outlier 0.331
 
     def damped(points, t):
@@ -276,9 +276,9 @@ def test_colours_hold_most_cells_and_the_poster_the_worst(tmp_path):
 
     # the long rest after it does not count
     rested = read_track(record(tmp_path / "rested", *box((1, 1, 1)), steps(60, 0.5), damped), "")
-    assert colour_radius([rested]) >= 0.2
+    assert choose_color_radius([rested]) >= 0.2
     still = read_track(record(tmp_path / "still", *box((1, 1, 1)), steps(2), lambda p, t: p), "")
-    assert colour_radius([still]) == RADII[0]
+    assert choose_color_radius([still]) == RADII[0]
 
 
 def test_the_camera_holds_the_whole_motion_but_not_an_explosion(tmp_path):
@@ -298,7 +298,7 @@ def test_the_camera_holds_the_whole_motion_but_not_an_explosion(tmp_path):
 def test_the_outline_of_a_box_is_its_twelve_edges():
     mesh = Mesh(*box((2, 3, 2)))
     faces, _ = boundary_faces(mesh)
-    creases, contour = sharp_edges(mesh.points.astype(np.float32), faces, np.array([0.8, -0.5, 0.3]))
+    creases, contour = find_sharp_edges(mesh.points.astype(np.float32), faces, np.array([0.8, -0.5, 0.3]))
     assert len(creases) == 4 * (2 + 3 + 2)
     assert len(contour) == 0
 
@@ -311,4 +311,4 @@ def test_panels_and_footer_do_not_overlap(tmp_path):
         assert all(bottom <= layout.footer and right <= 1280 for _, _, right, bottom in layout.panels)
         for panel in layout.panels:
             assert layout.scene(panel)[3] <= layout.curve(panel)[1]
-    assert Layout((1280, 720), 2, 2, 4).panels[3][:2] == (640, 58 + (620 - 58) // 2)
+    assert PictureLayout((1280, 720), 2, 2, 4).panels[3][:2] == (640, 58 + (620 - 58) // 2)

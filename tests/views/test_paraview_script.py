@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.case import load_case
 from pipeline.results.run_case import run_campaign
-from pipeline.views.paraview import NAME, write_script
+from pipeline.views.paraview import SCRIPT_NAME, write_script
 from tests.bodies import without_figures, write_case
 
 
@@ -21,7 +21,7 @@ def constants(script):
 def test_each_run_leaves_a_script_that_names_its_variants_by_relative_paths(tmp_path, monkeypatch, name, index):
     without_figures(monkeypatch)
     result = run_campaign(load_case(write_case(tmp_path, output={"format": name})), tmp_path / "out", movie=False)
-    script = result.folder / NAME
+    script = result.folder / SCRIPT_NAME
     found = constants(script)
     assert script in result.made
     assert found["VARIANTS"] == [(one.name, f"{one.name}/{index}") for one in result.variants]

@@ -26,8 +26,8 @@ from pipeline.series import read_series
 from pipeline.views.html import page as web_page
 from pipeline.views.html import solids as web_solids
 from pipeline.views.html import worst as web_worst
-from pipeline.views.html.curves import curves, drawn_times
-from pipeline.views.html.worst import worst_cells
+from pipeline.views.html.curves import choose_times, collect_curves
+from pipeline.views.html.worst import find_worst_cells
 from tests.bodies import PLANAR, without_figures, write_case
 
 TITLE = 'A <b>bar</b> & "more" </script><script>alert(1)</script>'
@@ -146,7 +146,7 @@ def test_without_k3d_the_page_has_the_rest(folder, monkeypatch, tmp_path):
 def test_large_results_show_some_frames_and_say_which(folder, monkeypatch):
     series = read_series(folder / "linear")
     monkeypatch.setattr(web_solids, "MOST_FRAMES", 2)
-    shown = web_solids.solids([series], ["linear"], [1])
+    shown = web_solids.pack_solids([series], ["linear"], [1])
     times = [series.times[i] for i in (0, 1, 3, 4)]
     assert shown.meta["bodies"][0]["times"] == pytest.approx(times)
     assert shown.notes == (
@@ -154,15 +154,15 @@ def test_large_results_show_some_frames_and_say_which(folder, monkeypatch):
     )
     monkeypatch.setattr(web_solids, "MOST_FRAMES", 400)
     monkeypatch.setattr(web_solids, "MOST_BYTES", 1)
-    assert len(web_solids.solids([series], ["linear"], [0]).meta["bodies"][0]["times"]) == 3
+    assert len(web_solids.pack_solids([series], ["linear"], [0]).meta["bodies"][0]["times"]) == 3
 
 
 def test_long_series_have_some_points_of_their_curves(monkeypatch, folder):
     statistics = read_dataset(folder / "linear" / "statistics.nc")
     worst = int(np.abs(statistics["volume_ratio"].values - 1).max(axis=1).argmax())
     monkeypatch.setattr("pipeline.views.html.curves.MOST_TIMES", 2)
-    assert drawn_times(statistics) == sorted({0, worst, 4})
-    assert len(curves(statistics)["total"]) == len({0, worst, 4})
+    assert choose_times(statistics) == sorted({0, worst, 4})
+    assert len(collect_curves(statistics)["total"]) == len({0, worst, 4})
 
 
 def test_worst_cells_are_found_a_few_frames_at_a_time(monkeypatch):
@@ -173,7 +173,7 @@ def test_worst_cells_are_found_a_few_frames_at_a_time(monkeypatch):
     ratio[5, 2], ratio[6, 1], ratio[3, 0] = 4.0, -3.5, np.nan
     statistics = xarray.Dataset({"volume_ratio": (("time", "cell"), ratio)}, {"time": np.arange(7) / 2})
     monkeypatch.setattr(web_worst, "_VALUES", 2 * len(mesh.cells))
-    found = worst_cells(statistics, mesh, 3)
+    found = find_worst_cells(statistics, mesh, 3)
     assert [(one.cell, one.volume_ratio, one.time) for one in found[:2]] == [(1, -3.5, 3.0), (2, 4.0, 2.5)]
     assert found[1].place == pytest.approx(mesh.points[mesh.cells[2]].mean(axis=0))
     assert len(found) == 3 and np.isfinite(found[2].volume_ratio)

@@ -175,7 +175,7 @@ def _figure(rows: Sequence[Row], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from pipeline.views.plots import STYLE
+    from pipeline.views.figures import STYLE
 
     good = [row for row in rows if not row["error"]]
     if not good:

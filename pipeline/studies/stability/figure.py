@@ -26,7 +26,7 @@ def stability_figure(study: "Stability", path: Path) -> None:
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    from pipeline.views.plots import STYLE
+    from pipeline.views.figures import STYLE
 
     columns = min(_COLUMNS, len(study.values))
     rows = -(-len(study.values) // columns)

@@ -16,7 +16,7 @@ from pipeline.results.variant import Notify
 from pipeline.studies.thesis.our_runs import Scene, scene_of
 from pipeline.studies.thesis.published import AS_PRINTED, PLANAR_SCENE, SCENES
 from pipeline.studies.thesis.report import KINDS, Report, make_report
-from pipeline.views.html.blocks import html, markdown
+from pipeline.views.html.blocks import render_html, render_markdown
 
 ALL_SCENES = (*(name + ending for name in SCENES for ending in (AS_PRINTED, "")), PLANAR_SCENE)
 
@@ -70,6 +70,6 @@ def reproduce(
     own = Path(out) / "reproduction"
     report = make_report(ran, bar, own)
     files = Path(out) / "reproduction.html", Path(out) / "reproduction.md"
-    write_whole(files[0], html(report.blocks))
-    write_whole(files[1], markdown(report.blocks, Path(out)))
+    write_whole(files[0], render_html(report.blocks))
+    write_whole(files[1], render_markdown(report.blocks, Path(out)))
     return Reproduction(*files, report, ran, tuple(failed))

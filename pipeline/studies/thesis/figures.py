@@ -27,19 +27,20 @@ def states_figure(series: Mapping[str, Series], states: Mapping[str, Sequence[in
     from PIL import Image, ImageDraw
 
     from pipeline.views.camera import fit_camera
-    from pipeline.views.movie.page import font
-    from pipeline.views.movie.scene import Palette, Scene
-    from pipeline.views.track import colour_radius, read_track
+    from pipeline.views.movie.page import load_font
+    from pipeline.views.movie.scene import Canvas
+    from pipeline.views.palette import Palette
+    from pipeline.views.track import choose_color_radius, read_track
 
     ensure_opengl()
     tracks = [read_track(one, name.replace("_", " ")) for name, one in series.items()]
     shown = [[i for i in states[name] if i < len(one)] for name, one in series.items()]
-    radius = colour_radius(tracks)
+    radius = choose_color_radius(tracks)
     columns, deep = _grid(max(len(row) for row in shown))
     (width, height), line = _PANEL, 32
     page = Image.new("RGB", (columns * width, len(tracks) * deep * (height + line) + line), "white")
     draw = ImageDraw.Draw(page)
-    scene = Scene(tracks, fit_camera(tracks), Palette(radius), _PANEL)
+    scene = Canvas(tracks, fit_camera(tracks), Palette(radius), _PANEL)
     try:
         for row, index in ((row, index) for row, frames in enumerate(shown) for index in frames):
             picture = scene.draw([(min(index, len(t.times) - 1), False) for t in tracks])[row]
@@ -47,11 +48,11 @@ def states_figure(series: Mapping[str, Series], states: Mapping[str, Sequence[in
             left, top = across * width, (row * deep + down) * (height + line)
             page.paste(picture, (left, top + line))
             text = f"{tracks[row].label}, iteration {index}: V/V₀ up to {tracks[row].high[index]:.3f}"
-            draw.text((left + width / 2, top + line / 2), text, "#1b1e28", font(16), anchor="mm")
+            draw.text((left + width / 2, top + line / 2), text, "#1b1e28", load_font(16), anchor="mm")
     finally:
         scene.close()
     legend = f"colour: blue V/V₀ ≤ {1 - radius:.2f}, grey 1, red ≥ {1 + radius:.2f}; magenta inverted; thin: rest shape"
-    draw.text((page.width / 2, page.height - line / 2), legend, "#5a6070", font(16), anchor="mm")
+    draw.text((page.width / 2, page.height - line / 2), legend, "#5a6070", load_font(16), anchor="mm")
     with whole_file(path) as hidden:
         page.save(hidden, format="PNG", optimize=True)
 
@@ -68,7 +69,7 @@ def law_figure(growths: Mapping[str, Growth], path: Path, *, across: str) -> Non
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from pipeline.views.plots import STYLE
+    from pipeline.views.figures import STYLE
 
     columns = min(len(growths), 4)
     rows = -(-len(growths) // columns)

@@ -28,7 +28,7 @@ from pipeline.studies.thesis.published import (
 )
 from pipeline.studies.thesis.verdicts import NOT_REPRODUCED, OTHER_HARDWARE, REPRODUCED, Finding, find, outcome
 from pipeline.system.version import VERSION
-from pipeline.views.html.blocks import Block, Heading, Paragraph, Picture, Table
+from pipeline.views.html.blocks import Block, Heading, Paragraph, Picture, TableBlock
 
 LINEAR_ABOVE, STEP_ABOVE = 10.0, 10.0  # degrees: below, strain outweighs what the rotation adds
 
@@ -76,7 +76,7 @@ def make_report(scenes: Mapping[str, Scene], bar: Problem, folder: Path) -> Repo
         *_opening(report, scenes),
         *_numbers(findings),
         Heading("What the thesis says in words"),
-        Table(("statement", "where", "found", "verdict"), [(s.says, s.source, f, v) for s, f, v in tested]),
+        TableBlock(("statement", "where", "found", "verdict"), [(s.says, s.source, f, v) for s, f, v in tested]),
         *_times([row for _, row, _ in timed]),
         *_variants(scenes),
         *_figures(scenes, folder, notes),
@@ -101,7 +101,7 @@ def _opening(report: Report, scenes: Mapping[str, Scene]) -> list[Block]:
             "and has no derivation. **Other hardware** means: what is published depends on the speed of a machine "
             "that is not ours, so that another result neither confirms nor refutes it."
         ),
-        Table(("verdict", "count"), rows, "Published numbers, statements and times"),
+        TableBlock(("verdict", "count"), rows, "Published numbers, statements and times"),
         Paragraph(f"Factors: {'; '.join(factors) or 'none'}."),
         Paragraph(
             "Not known and chosen by us: the meshes of mushroom and armadillo (the counts are those of the thesis, the "
@@ -123,7 +123,7 @@ def _numbers(findings: Sequence[Finding]) -> list[Block]:
             "Gram-Schmidt. A volume counts as reproduced within 1 %, an iteration within one, a count exactly. The "
             "verdict gives the deviation of the value itself, not of its growth over 1."
         ),
-        Table(("quantity", "published", "where", "as printed", "with factor", "verdict"), rows),
+        TableBlock(("quantity", "published", "where", "as printed", "with factor", "verdict"), rows),
     ]
 
 
@@ -160,8 +160,8 @@ def _times(rows: Sequence[Sequence[str]]) -> list[Block]:
             "time of a step: above 1 the motion is computed faster than it happens. The counts are the same, the "
             "meshes of mushroom and armadillo are ours."
         ),
-        Table(head, rows[:half], "Table 7.1: linear, backward Euler (scenes as printed)"),
-        Table(head, rows[half:], "Table 7.2: corotational, one solve a step (scenes as printed)"),
+        TableBlock(head, rows[:half], "Table 7.1: linear, backward Euler (scenes as printed)"),
+        TableBlock(head, rows[half:], "Table 7.2: corotational, one solve a step (scenes as printed)"),
     ]
 
 
@@ -186,7 +186,7 @@ def _variants(scenes: Mapping[str, Scene]) -> list[Block]:
         "scene", "variant", "run", "largest V/V0", "at step", "in cell", "smallest V/V0", "ms a step",
         "real-time factor",
     )  # fmt: skip
-    return [Heading("Every scene and variant"), Table(head, rows, "Extremes over all cells and recorded frames")]
+    return [Heading("Every scene and variant"), TableBlock(head, rows, "Extremes over all cells and recorded frames")]
 
 
 def _figures(scenes: Mapping[str, Scene], folder: Path, notes: list[str]) -> list[Block]:
@@ -271,7 +271,7 @@ def _growths(scenes: Mapping[str, Scene], variant: str, measured: Callable[[Seri
     return {name: measured(read_series(run.folder)) for name, run in runs.items() if run is not None}
 
 
-def _bands(growths: Mapping[str, Growth], variant: str, above: float, across: str) -> Table:
+def _bands(growths: Mapping[str, Growth], variant: str, above: float, across: str) -> TableBlock:
     rows = []
     for name, growth in growths.items():
         found = band(growth, above)
@@ -283,7 +283,7 @@ def _bands(growths: Mapping[str, Growth], variant: str, above: float, across: st
         row = (f"{found.low:.3f}", f"{found.median:.3f}", f"{found.high:.3f}", f"{found.largest_angle:.1f}")
         rows.append((name, f"{found.count}", *row, f"{found.largest_law:.3f}", verdict))
     head = ("scene", "cells × frames", "5 %", "median", "95 %", "largest angle", "sec² of it", "law")
-    return Table(head, rows, f"`{variant}`: V/V₀ over sec² of the {across}, where that is above {above:g} degrees")
+    return TableBlock(head, rows, f"`{variant}`: V/V₀ over sec² of the {across}, where that is above {above:g} degrees")
 
 
 def _damping(bar: Problem) -> list[Block]:
@@ -298,7 +298,9 @@ def _damping(bar: Problem) -> list[Block]:
             "damps a mode of frequency ω by ζ = ln(1 + z²) / √(ln²(1 + z²) + 4 atan² z) with z = ω Δt. Measured: four "
             "steps from the mode itself."
         ),
-        Table(("mode", "ω [rad/s]", "z", "ζ, formula", "ζ, measured"), rows, f"The thesis' bar, Δt = {bar.dt:g} s"),
+        TableBlock(
+            ("mode", "ω [rad/s]", "z", "ζ, formula", "ζ, measured"), rows, f"The thesis' bar, Δt = {bar.dt:g} s"
+        ),
     ]
 
 
@@ -310,11 +312,11 @@ def _corrections(bar: Problem) -> list[Block]:
             "The program follows the formulas under “correct”. Where numbers stand, the printed formula was run just "
             "now on the thesis' bar of f = 20, as printed, next to the corrected one."
         ),
-        Table(("where", "printed", "correct", "the printed one, run", "the corrected one, run"), rows),
+        TableBlock(("where", "printed", "correct", "the printed one, run", "the corrected one, run"), rows),
     ]
 
 
 def _notes(scenes: Mapping[str, Scene], notes: Sequence[str]) -> list[Block]:
     said = [f"{scene.name}: {note}" for scene in scenes.values() for note in scene.notes] + list(notes)
     blocks: list[Block] = [Heading("Made by"), Paragraph(f"`pipeline reproduce`, version {VERSION}.")]
-    return blocks + ([Table(("note",), [(note,) for note in dict.fromkeys(said)])] if said else [])
+    return blocks + ([TableBlock(("note",), [(note,) for note in dict.fromkeys(said)])] if said else [])

@@ -34,7 +34,7 @@ def front_figure(table: Table, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from pipeline.views.plots import STYLE
+    from pipeline.views.figures import STYLE
 
     with rc_context(STYLE):
         figure = Figure(figsize=(12.4, 5.0), dpi=100)

@@ -27,7 +27,7 @@ class Paragraph:
 
 
 @dataclass(frozen=True)
-class Table:
+class TableBlock:
     """Rows of texts under a head."""
 
     head: tuple[str, ...]
@@ -44,13 +44,13 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Listing:
+class CodeListing:
     """A text as it is, such as a file or commands."""
 
     text: str
 
 
-Block = Heading | Paragraph | Table | Picture | Listing
+Block = Heading | Paragraph | TableBlock | Picture | CodeListing
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1e28; --soft: #5a6070; --rule: #d9dce3; --page: #fff; --band: #f5f6f9;
   --good: #0b6b3a; --factor: #8a5a00; --bad: #a4262c; }
@@ -76,7 +76,7 @@ pre { overflow-x: auto; padding: .8rem 1rem; background: var(--band); border: 1p
 """
 
 
-def markdown(blocks: Sequence[Block], folder: Path) -> str:
+def render_markdown(blocks: Sequence[Block], folder: Path) -> str:
     """Return the report as Markdown, pictures linked relative to a folder."""
     return "\n\n".join(_markdown_block(block, folder) for block in blocks) + "\n"
 
@@ -89,22 +89,22 @@ def _markdown_block(block: Block, folder: Path) -> str:
     if isinstance(block, Picture):
         place = Path(os.path.relpath(block.path, folder)).as_posix()
         return f"![{block.caption}]({place})\n\n*{block.caption}*"
-    if isinstance(block, Listing):
+    if isinstance(block, CodeListing):
         return f"```\n{block.text.rstrip()}\n```"
     rows = [block.head, ("---",) * len(block.head), *block.rows]
     lines = ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in rows]
     return "\n".join([f"*{block.caption}*", "", *lines] if block.caption else lines)
 
 
-def html(blocks: Sequence[Block]) -> str:
+def render_html(blocks: Sequence[Block]) -> str:
     """Return the report as one HTML page that asks for nothing; raises OutputError where a picture cannot be read."""
     title = next(block.text for block in blocks if isinstance(block, Heading))
-    first, *others = (html_block(block) for block in blocks)
+    first, *others = (render_block(block) for block in blocks)
     sections = [b.text for b in blocks if isinstance(b, Heading) and b.level == 2]
-    return document(title, "\n".join([first, navigation(sections), *others]))
+    return render_document(title, "\n".join([first, render_navigation(sections), *others]))
 
 
-def document(title: str, body: str, *, head: str = "") -> str:
+def render_document(title: str, body: str, *, head: str = "") -> str:
     """Return a whole HTML page in the common style; body and head are HTML."""
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -113,23 +113,23 @@ def document(title: str, body: str, *, head: str = "") -> str:
     )
 
 
-def navigation(sections: Sequence[str]) -> str:
+def render_navigation(sections: Sequence[str]) -> str:
     """Return HTML of links to sections."""
-    links = "".join(f'<a href="#{anchor(text)}">{escape(text)}</a>' for text in sections)
+    links = "".join(f'<a href="#{make_anchor(text)}">{escape(text)}</a>' for text in sections)
     return f'<nav aria-label="Contents">{links}</nav>'
 
 
-def html_block(block: Block) -> str:
+def render_block(block: Block) -> str:
     """Return HTML of a block; raises OutputError where a picture cannot be read."""
     if isinstance(block, Heading):
-        return f'<h{block.level} id="{anchor(block.text)}">{escape(block.text)}</h{block.level}>'
+        return f'<h{block.level} id="{make_anchor(block.text)}">{escape(block.text)}</h{block.level}>'
     if isinstance(block, Paragraph):
         return f"<p>{_inline(block.text)}</p>"
-    if isinstance(block, Listing):
+    if isinstance(block, CodeListing):
         return f'<pre tabindex="0"><code>{escape(block.text.rstrip(), quote=False)}</code></pre>'
     if isinstance(block, Picture):
         return (
-            f'<figure><img alt="{escape(block.caption)}" src="{data_uri(block.path, "image/png")}">'
+            f'<figure><img alt="{escape(block.caption)}" src="{read_data_uri(block.path, "image/png")}">'
             f"<figcaption>{_inline(block.caption)}</figcaption></figure>"
         )
     head = "".join(f'<th scope="col">{_inline(cell)}</th>' for cell in block.head)
@@ -157,12 +157,12 @@ def _inline(text: str) -> str:
     return re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", safe)
 
 
-def anchor(text: str) -> str:
+def make_anchor(text: str) -> str:
     """Return the id of the section of that title."""
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
 
 
-def data_uri(path: Path, kind: str) -> str:
+def read_data_uri(path: Path, kind: str) -> str:
     """Return a file as a data: address; raises OutputError where it cannot be read."""
     try:
         return f"data:{kind};base64," + base64.b64encode(path.read_bytes()).decode("ascii")

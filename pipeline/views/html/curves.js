@@ -27,21 +27,21 @@
   }
 
   function specs() {
-    const sides = data.curves.map((curve, i) => ({ curve, label: data.labels[i], colour: `var(--c${i % 8})` }));
+    const sides = data.curves.map((curve, i) => ({ curve, label: data.labels[i], color: `var(--c${i % 8})` }));
     const dashes = (i) => (i < 8 ? "" : "6 3");
     const total = {
       title: "Total volume", unit: "%", level: 100,
       lines: sides.map((s, i) => ({
-        name: s.label, times: s.curve.times, values: s.curve.total, colour: s.colour, dash: dashes(i),
+        name: s.label, times: s.curve.times, values: s.curve.total, color: s.color, dash: dashes(i),
       })),
     };
     const cells = sides.map((s) => ({
       title: `Volume ratio of the cells: ${s.label}`, unit: "", group: "cells", level: 1,
       bands: s.curve.bands.map(([low, high], k) => ({
-        name: ["extremes", "5 to 95 %", "25 to 75 %"][k], times: s.curve.times, low, high, colour: s.colour,
+        name: ["extremes", "5 to 95 %", "25 to 75 %"][k], times: s.curve.times, low, high, color: s.color,
         opacity: [0.16, 0.24, 0.36][k],
       })),
-      lines: [{ name: "median", times: s.curve.times, values: s.curve.median, colour: s.colour, dash: "" }],
+      lines: [{ name: "median", times: s.curve.times, values: s.curve.median, color: s.color, dash: "" }],
     }));
     const looks = {
       kinetic: ["var(--c0)", ""], elastic: ["var(--c1)", "7 3"], potential: ["var(--c2)", "2 3"], total: ["var(--ink)", ""],
@@ -49,7 +49,7 @@
     const energies = sides.filter((s) => Object.keys(s.curve.energies).length).map((s) => ({
       title: `Energy: ${s.label}`, unit: data.energy, group: "energy", level: 0,
       lines: Object.entries(s.curve.energies).map(([name, values]) => ({
-        name, times: s.curve.times, values, colour: looks[name][0], dash: looks[name][1],
+        name, times: s.curve.times, values, color: looks[name][0], dash: looks[name][1],
       })),
     }));
     return [total, ...cells, ...energies];
@@ -99,9 +99,9 @@
     key(part) {
       const button = make("button", { type: "button", "aria-pressed": "true" });
       const swatch = make("span", { class: "swatch", "aria-hidden": "true" });
-      swatch.style.borderTopColor = part.colour;
+      swatch.style.borderTopColor = part.color;
       swatch.style.borderTopStyle = part.dash ? "dashed" : "solid";
-      if (part.low) swatch.style.cssText = `border: 0; background: ${part.colour}; opacity: ${2 * part.opacity}; height: 10px`;
+      if (part.low) swatch.style.cssText = `border: 0; background: ${part.color}; opacity: ${2 * part.opacity}; height: 10px`;
       button.append(swatch, part.name);
       button.addEventListener("click", () => {
         part.hidden = !part.hidden;
@@ -166,11 +166,11 @@
       inner.append(make("line", { x1: this.left, x2: this.width, y1: level, y2: level, class: "level" }));
       for (const band of (spec.bands || []).filter((b) => !b.hidden)) {
         const edge = [...this.path(band.times, band.low), ...this.path(band.times, band.high, true)];
-        const look = `fill: ${band.colour}; fill-opacity: ${band.opacity}`;
+        const look = `fill: ${band.color}; fill-opacity: ${band.opacity}`;
         inner.append(make("path", { d: `M${edge.join("L")}Z`, style: look, class: "band" }));
       }
       for (const line of spec.lines.filter((l) => !l.hidden)) {
-        const look = `stroke: ${line.colour}; stroke-dasharray: ${line.dash || "none"}`;
+        const look = `stroke: ${line.color}; stroke-dasharray: ${line.dash || "none"}`;
         inner.append(make("path", { d: `M${this.path(line.times, line.values).join("L")}`, style: look, class: "line" }));
       }
       this.cursor = make("g");
@@ -188,7 +188,7 @@
         const values = part.low ? [part.low[i], part.high[i]] : [part.values[i]];
         told.push(`${part.name} ${values.map((v) => short(v === null ? v : v / this.scale)).join(" … ")}`);
         if (part.low || values[0] === null) continue;
-        this.cursor.append(make("circle", { cx: this.x(part.times[i]), cy: this.y(values[0]), r: 4, style: `fill: ${part.colour}` }));
+        this.cursor.append(make("circle", { cx: this.x(part.times[i]), cy: this.y(values[0]), r: 4, style: `fill: ${part.color}` }));
       }
       this.read.textContent = `${report.said(t)}: ${told.join("; ")}`;
       this.svg.setAttribute("aria-valuenow", t);

@@ -5,46 +5,47 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.arrays import Floats
+from pipeline.views.palette import BANDS, ENERGIES
 
 if TYPE_CHECKING:
     import xarray
 
 MOST_TIMES = 1000  # more than a curve on a screen has pixels
-_BANDS = ((0.0, 1.0), (0.05, 0.95), (0.25, 0.75))  # lower and upper quantile; the same as those of the figures
-_ENERGIES = ("kinetic", "elastic", "potential")
 
 
-def drawn_times(statistics: "xarray.Dataset") -> list[int]:
+def choose_times(statistics: "xarray.Dataset") -> list[int]:
     """Return the frames that a curve shows: evenly chosen, and that of the largest change."""
     count = statistics.sizes["time"]
     if count <= MOST_TIMES:
         return list(range(count))
-    return sorted({*np.linspace(0, count - 1, MOST_TIMES).round().astype(int).tolist(), worst_frame(statistics)})
+    return sorted({*np.linspace(0, count - 1, MOST_TIMES).round().astype(int).tolist(), find_worst_frame(statistics)})
 
 
-def worst_frame(statistics: "xarray.Dataset") -> int:
+def find_worst_frame(statistics: "xarray.Dataset") -> int:
     """Return the frame of the largest |V / V0 - 1| of any cell; 0 where no number says."""
     change = np.abs(statistics["volume_ratio_quantile"].values[:, [0, -1]] - 1).max(axis=1)
     return int(np.nan_to_num(change, nan=-1.0).argmax())
 
 
-def curves(statistics: "xarray.Dataset") -> dict[str, Any]:
+def collect_curves(statistics: "xarray.Dataset") -> dict[str, Any]:
     """Return times, total volume, bands of the cells' volume ratios and energies of one series, for JSON."""
-    shown = statistics.drop_vars(["volume_ratio", "rotation_angle"], errors="ignore").isel(time=drawn_times(statistics))
+    shown = statistics.drop_vars(["volume_ratio", "rotation_angle"], errors="ignore").isel(
+        time=choose_times(statistics)
+    )
     quantiles = shown["volume_ratio_quantile"].values
-    column = {round(float(q), 6): i for i, q in enumerate(shown["quantile"].values)}
-    energies = {name: shown[f"{name}_energy"].values for name in _ENERGIES if f"{name}_energy" in shown}
+    column = {round(float(q), 6): round_numbers(quantiles[:, i]) for i, q in enumerate(shown["quantile"].values)}
+    energies = {name: shown[f"{name}_energy"].values for name in ENERGIES if f"{name}_energy" in shown}
     if len(energies) > 1:
         energies["total"] = sum(energies.values(), np.zeros(shown.sizes["time"]))
     return {
-        "times": numbers(shown["time"].values, digits=9),
-        "total": numbers(100 * (1 + shown["volume_drift"].values)),
-        "bands": [[numbers(quantiles[:, column[low]]), numbers(quantiles[:, column[high]])] for low, high in _BANDS],
-        "median": numbers(quantiles[:, column[0.5]]),
-        "energies": {name: numbers(values) for name, values in energies.items()},
+        "times": round_numbers(shown["time"].values, digits=9),
+        "total": round_numbers(100 * (1 + shown["volume_drift"].values)),
+        "bands": [[column[low], column[high]] for low, high, _ in BANDS],
+        "median": column[0.5],
+        "energies": {name: round_numbers(values) for name, values in energies.items()},
     }
 
 
-def numbers(values: Floats, digits: int = 6) -> list[float | None]:
+def round_numbers(values: Floats, digits: int = 6) -> list[float | None]:
     """Return numbers with so many significant digits, None for what is not finite: JSON has no NaN."""
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in np.asarray(values).tolist()]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,23 +18,20 @@ from pipeline.views.html.blocks import (
     Block,
     Heading,
     Paragraph,
-    Table,
-    anchor,
-    data_uri,
-    document,
-    html_block,
-    navigation,
+    TableBlock,
+    make_anchor,
+    read_data_uri,
+    render_block,
+    render_document,
+    render_navigation,
 )
-from pipeline.views.html.curves import curves, worst_frame
-from pipeline.views.html.solids import OnFrame, Solids, solids
-from pipeline.views.html.worst import WorstCell, worst_cells
-
-if TYPE_CHECKING:
-    pass
+from pipeline.views.html.curves import collect_curves, find_worst_frame
+from pipeline.views.html.solids import OnFrameRead, Solids, pack_solids
+from pipeline.views.html.worst import WorstCell, find_worst_cells
 
 MOST_MOVIE_BYTES = 4_000_000  # a longer film is linked, not carried along
 WORST = 5  # cells a series
-VIEWER = "The bodies are drawn by k3d and three.js (MIT); their licences are in the source of this page."
+VIEWER = "The bodies are drawn by k3d and three.js (MIT); their licenses are in the source of this page."
 NO_VIEWER = "The bodies in space are missing: the package k3d is not installed (`pip install k3d`)."
 # nothing may be fetched: a browser refuses what this page should ever ask for
 _POLICY = (
@@ -55,7 +52,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Result:
+class PageContent:
     """What a page is made of: a title, series side by side, notes, a movie with its poster, and texts to close with."""
 
     title: str
@@ -66,32 +63,34 @@ class Result:
     poster: Path | None = None
 
 
-def write_page(result: Result, path: Path, on_frame: OnFrame | None = None) -> Path:
+def write_page(result: PageContent, path: Path, on_frame: OnFrameRead | None = None) -> Path:
     """Write the page and return its path; `on_frame(label, done, frames)` is called after each frame that is read.
 
     Raises SeriesError where a series or its statistics cannot be read, OutputError where the page cannot be written.
     """
     with ExitStack() as stack:
         statistics = [stack.enter_context(open_dataset(side.statistics)) for side in result.sides]
-        worst = [worst_cells(s, side.series.mesh, WORST) for s, side in zip(statistics, result.sides, strict=True)]
-        drawn = [curves(one) for one in statistics]
-        moments = [min(worst_frame(s), len(side.series) - 1) for s, side in zip(statistics, result.sides, strict=True)]
+        worst = [find_worst_cells(s, side.series.mesh, WORST) for s, side in zip(statistics, result.sides, strict=True)]
+        drawn = [collect_curves(one) for one in statistics]
+        moments = [
+            min(find_worst_frame(s), len(side.series) - 1) for s, side in zip(statistics, result.sides, strict=True)
+        ]
     labels = [side.label for side in result.sides]
-    shown = solids([side.series for side in result.sides], labels, moments, on_frame)
+    shown = pack_solids([side.series for side in result.sides], labels, moments, on_frame)
     notes = [*result.notes, *([*shown.notes, VIEWER] if shown else [NO_VIEWER])]
-    closing = [html_block(block) for block in result.closing]
+    closing = [render_block(block) for block in result.closing]
     sections = [_MOVIE] if result.movie else []
     sections += [_MOTION, _WORST, *(b.text for b in result.closing if isinstance(b, Heading) and b.level == 2)]
     body = [
-        html_block(Heading(result.title, 1)),
+        render_block(Heading(result.title, 1)),
         _summary(result, drawn, worst),
-        navigation(sections),
+        render_navigation(sections),
         _film(result, path.parent) if result.movie else "",
         _motion(shown, labels),
-        html_block(Heading(_WORST)),
+        render_block(Heading(_WORST)),
         _worst_table(labels, worst, result.sides[0].series.mesh.dimension),
         *closing,
-        html_block(Heading("Notes")) + _list(notes) if notes else "",
+        render_block(Heading("Notes")) + _list(notes) if notes else "",
     ]
     data = {
         "labels": labels,
@@ -102,7 +101,7 @@ def write_page(result: Result, path: Path, on_frame: OnFrame | None = None) -> P
     }
     policy = f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n<style>{_asset("page.css")}</style>\n'
     whole = f"<main>\n{chr(10).join(filter(None, body))}\n</main>\n{_scripts(data, shown)}"
-    write_whole(path, document(result.title, whole, head=policy))
+    write_whole(path, render_document(result.title, whole, head=policy))
     return path
 
 
@@ -110,7 +109,7 @@ def _asset(name: str) -> str:
     return files("pipeline.views.html").joinpath(name).read_text(encoding="utf-8")
 
 
-def _summary(result: Result, drawn: Sequence[Mapping[str, Any]], worst: Sequence[Sequence[WorstCell]]) -> str:
+def _summary(result: PageContent, drawn: Sequence[Mapping[str, Any]], worst: Sequence[Sequence[WorstCell]]) -> str:
     """Return HTML of what came out, in words and numbers."""
     meshes = [side.series.mesh for side in result.sides]
     cells = {len(mesh.cells) for mesh in meshes}
@@ -127,7 +126,7 @@ def _summary(result: Result, drawn: Sequence[Mapping[str, Any]], worst: Sequence
         (side.label, *_extremes(d), *(side.facts.get(key, "") for key in keys))
         for side, d in zip(result.sides, drawn, strict=True)
     ]
-    return html_block(Paragraph(words)) + _list(told) + html_block(Table(head, rows))
+    return render_block(Paragraph(words)) + _list(told) + render_block(TableBlock(head, rows))
 
 
 def _sentence(label: str, drawn: Mapping[str, Any], worst: WorstCell) -> str:
@@ -150,7 +149,7 @@ def _finite(values: Sequence[float | None]) -> "np.ndarray":
     return np.array([value for value in values if value is not None] or [np.nan])
 
 
-def _film(result: Result, folder: Path) -> str:
+def _film(result: PageContent, folder: Path) -> str:
     """Return HTML of the movie: inside the page, or beside it where it is long."""
     assert result.movie is not None
     note = ""
@@ -158,12 +157,12 @@ def _film(result: Result, folder: Path) -> str:
         source = escape(result.movie.name) if result.movie.parent == folder else result.movie.absolute().as_uri()
         note = f"<p>The movie is too long to be carried inside this page; it is the file <code>{source}</code>.</p>"
     else:
-        source = data_uri(result.movie, "video/mp4")
-    poster = data_uri(result.poster, "image/png") if result.poster else ""
+        source = read_data_uri(result.movie, "video/mp4")
+    poster = read_data_uri(result.poster, "image/png") if result.poster else ""
     alt = "The moment of the largest change of volume, all series side by side"
     still = f'<img id="poster" class="paper" alt="{alt}" src="{poster}">' if poster else ""
     return (
-        f'{html_block(Heading(_MOVIE))}\n{note}<figure class="film"><video id="movie" controls playsinline '
+        f'{render_block(Heading(_MOVIE))}\n{note}<figure class="film"><video id="movie" controls playsinline '
         f'preload="metadata" aria-label="Movie of all series side by side" src="{source}"></video>{still}</figure>'
     )
 
@@ -174,8 +173,8 @@ def _motion(shown: Solids | None, labels: Sequence[str]) -> str:
         f'<label><input type="checkbox" value="{i}"> {escape(label)}</label>' for i, label in enumerate(labels)
     )
     parts = {
-        "[TITLE]": html_block(Heading(_MOTION)),
-        "[ANCHOR]": anchor(_MOTION),
+        "[TITLE]": render_block(Heading(_MOTION)),
+        "[ANCHOR]": make_anchor(_MOTION),
         "[SOLIDS]": "" if shown is None else _asset("solids.html").replace("[BOXES]", boxes),
     }
     text = _asset("motion.html")
@@ -218,7 +217,7 @@ def _scripts(data: Mapping[str, Any], shown: Solids | None) -> str:
     parts = [f'<script type="application/json" id="data">{text}</script>']
     if shown is not None:
         parts.append(f'<script type="text/plain" id="viewer">{shown.program}</script>')
-        parts.append(f'<script type="text/plain" id="licences">{shown.licences.replace("</", "")}</script>')
+        parts.append(f'<script type="text/plain" id="licenses">{shown.licenses.replace("</", "")}</script>')
         parts += [f'<script type="text/plain" id="scene-{i}">{s}</script>' for i, s in enumerate(shown.scenes)]
     names = ["clock.js", "curves.js", *(["solids.js"] if shown else [])]
     return "\n".join([*parts, *(f"<script>{_asset(name)}</script>" for name in names)])

@@ -29,11 +29,11 @@
     const low = [0, 1, 2].map((i) => Math.min(...shown.map((body) => body.low[i])));
     const high = [0, 1, 2].map((i) => Math.max(...shown.map((body) => body.high[i])));
     const axes = [meta.camera.right, meta.camera.up, meta.camera.toward];
-    const centre = [0, 1, 2].map((j) => axes.reduce((sum, axis, i) => sum + (axis[j] * (low[i] + high[i])) / 2, 0));
+    const center = [0, 1, 2].map((j) => axes.reduce((sum, axis, i) => sum + (axis[j] * (low[i] + high[i])) / 2, 0));
     const half = Math.tan((10 * Math.PI) / 180); // of the angle of view, 20 degrees upright
     const [across, upward, deep] = [0, 1, 2].map((i) => (high[i] - low[i]) / 2);
     const far = Math.max(upward / half, across / (half * (width / height))) / 0.9 + deep;
-    return [...centre.map((c, j) => c + far * axes[2][j]), ...centre, ...axes[1]];
+    return [...center.map((c, j) => c + far * axes[2][j]), ...center, ...axes[1]];
   }
 
   class Panel {
@@ -67,8 +67,8 @@
     }
 
     paint() {
-      const colour = getComputedStyle(document.documentElement).getPropertyValue("--space").trim();
-      this.k3d.setClearColor(parseInt(colour.slice(1), 16));
+      const color = getComputedStyle(document.documentElement).getPropertyValue("--space").trim();
+      this.k3d.setClearColor(parseInt(color.slice(1), 16));
       this.k3d.render();
     }
 
@@ -134,10 +134,10 @@
     turning = false;
   }
 
-  function colourBar() {
+  function colorBar() {
     const bar = document.getElementById("bar");
     const strip = document.createElement("div");
-    strip.style.background = `linear-gradient(to right, ${meta.colours.join(", ")})`;
+    strip.style.background = `linear-gradient(to right, ${meta.colors.join(", ")})`;
     strip.className = "strip";
     const marks = document.createElement("div");
     marks.className = "marks";
@@ -151,7 +151,7 @@
     if (!meta.inverted) return;
     const inverted = document.createElement("p");
     inverted.className = "inverted";
-    inverted.style.setProperty("--inverted", meta.invertedColour);
+    inverted.style.setProperty("--inverted", meta.invertedColor);
     inverted.textContent = "inverted";
     bar.append(inverted);
   }
@@ -166,7 +166,7 @@
     home.style.setProperty("--columns", Math.min(4, Math.max(1, panels.filter((p) => p.k3d && !p.figure.hidden).length)));
   }
 
-  colourBar();
+  colorBar();
   let lib = null;
   try {
     lib = await library();

@@ -1,6 +1,6 @@
 """Surfaces over time for k3d's WebGL viewer: a packed scene a body, and what the page has to know of them.
 
-Colours are given as places on the colour map in 254 steps, and coordinates are rounded to a 32768th of the body's
+Colors are given as places on the color map in 254 steps, and coordinates are rounded to a 32768th of the body's
 size: neither can be seen, and both halve the page.
 """
 
@@ -21,12 +21,19 @@ from numpy.typing import NDArray
 from pipeline.arrays import Floats, Ints
 from pipeline.series import Series
 from pipeline.views.camera import Camera, fit_camera
-from pipeline.views.html.curves import numbers
-from pipeline.views.movie.scene import INVERTED, Palette
-from pipeline.views.track import Track, colour_radius, drawn_points, read_track, sharp_edges, surface
+from pipeline.views.html.curves import round_numbers
+from pipeline.views.palette import INVERTED, Palette
+from pipeline.views.track import (
+    Track,
+    choose_color_radius,
+    find_drawn_faces,
+    find_sharp_edges,
+    list_drawn_points,
+    read_track,
+)
 
-OnFrame = Callable[[str, int, int], None]  # what is read, frames done, frames in all
-MOST_BYTES = 16_000_000  # of coordinates and colours before they are packed: 5 to 8 MB of page
+OnFrameRead = Callable[[str, int, int], None]  # what is read, frames done, frames in all
+MOST_BYTES = 16_000_000  # of coordinates and colors before they are packed: 5 to 8 MB of page
 MOST_FRAMES = 400  # of a body
 MOST_EDGES = 4000  # faces of a body up to which the edges of its cells are drawn
 _STEPS, _GRAIN = 254, 2.0**-15
@@ -38,14 +45,14 @@ class Solids:
     """The viewer's program and a scene a body, packed; `meta` for JSON; notes say which frames are there."""
 
     program: str
-    licences: str  # of the program, which have to travel with it
+    licenses: str  # of the program, which have to travel with it
     scenes: tuple[str, ...]
     meta: dict[str, Any]
     notes: tuple[str, ...]
 
 
-def solids(
-    series: Sequence[Series], labels: Sequence[str], moments: Sequence[int], on_frame: OnFrame | None = None
+def pack_solids(
+    series: Sequence[Series], labels: Sequence[str], moments: Sequence[int], on_frame: OnFrameRead | None = None
 ) -> Solids | None:
     """Return the surfaces of series over time, None where k3d is not installed.
 
@@ -70,36 +77,36 @@ def solids(
                 on_frame(label, next(done), frames)
 
         tracks.append(read_track(one.select_frames(kept), label, told))
-    radius, camera = colour_radius(tracks), fit_camera(tracks)
+    radius, camera = choose_color_radius(tracks), fit_camera(tracks)
     palette = Palette(radius)
     meta = {
         "bodies": [_body(track, camera) for track in tracks],
-        "camera": {name: numbers(getattr(camera, name)) for name in ("right", "up", "toward")},
+        "camera": {name: round_numbers(getattr(camera, name)) for name in ("right", "up", "toward")},
         "radius": radius,
         "below": bool(min(float(np.nanmin(t.low)) for t in tracks) < 1 - radius),
         "above": bool(max(float(np.nanmax(t.high)) for t in tracks) > 1 + radius),
         "inverted": bool(any(t.inverted.any() for t in tracks)),
-        "colours": ["#" + bytes(palette.table[i]).hex() for i in np.linspace(0, 255, 17).astype(int)],
-        "invertedColour": "#" + bytes(INVERTED).hex(),
+        "colors": ["#" + bytes(palette.table[i]).hex() for i in np.linspace(0, 255, 17).astype(int)],
+        "invertedColor": "#" + bytes(INVERTED).hex(),
     }
-    points = np.concatenate([drawn_points(track) for track in tracks])
+    points = np.concatenate([list_drawn_points(track) for track in tracks])
     bounds = (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())
     scenes = tuple(_scene(track, palette, camera.toward, bounds) for track in tracks)
-    return Solids(_program(), _licences(), scenes, meta, tuple(notes))
+    return Solids(_program(), _licenses(), scenes, meta, tuple(notes))
 
 
 def _body(track: Track, camera: Camera) -> dict[str, Any]:
     """Return a body's name, the times of its frames, and its bounds along the camera's right, up and toward."""
-    seen = drawn_points(track) @ np.stack([camera.right, camera.up, camera.toward]).T
-    bounds = {"low": numbers(seen.min(axis=0)), "high": numbers(seen.max(axis=0))}
-    return {"label": track.label, "times": numbers(track.times, digits=9), **bounds}
+    seen = list_drawn_points(track) @ np.stack([camera.right, camera.up, camera.toward]).T
+    bounds = {"low": round_numbers(seen.min(axis=0)), "high": round_numbers(seen.max(axis=0))}
+    return {"label": track.label, "times": round_numbers(track.times, digits=9), **bounds}
 
 
 def _frames_each(series: Sequence[Series]) -> int:
     """Return how many frames of every series the page can hold."""
     size = 0
     for one in series:
-        faces, _ = surface(one.mesh)
+        faces, _ = find_drawn_faces(one.mesh)
         bodies = 2 if len(faces) <= MOST_EDGES else 1  # the edges are a body of their own
         size += 4 * len(faces) + 12 * bodies * len(np.unique(faces))
     return max(2, min(MOST_FRAMES, MOST_BYTES // size))
@@ -121,19 +128,19 @@ def _scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[float, 
 
     size = float(np.linalg.norm(np.ptp(track.rest, axis=0)))
     points = {str(i): _rounded(p, size) for i, p in enumerate(track.points)}
-    colours = {str(i): _places(ratio, palette.radius) for i, ratio in enumerate(track.ratio)}
+    colors = {str(i): _places(ratio, palette.radius) for i, ratio in enumerate(track.ratio)}
     faces = track.faces.astype(np.uint32)
-    look: dict[str, Any] = {"color_map": _colour_map(palette), "color_range": [-1.0, _STEPS], "side": "double"}
+    look: dict[str, Any] = {"color_map": _color_map(palette), "color_range": [-1.0, _STEPS], "side": "double"}
     plot = k3d.plot(
         grid_visible=False, menu_visibility=False, camera_auto_fit=False, axes_helper=0,
         grid_auto_fit=False, grid=bounds,  # what the viewer reckons from how far it has to see
         colorbar_object_id=0, time_interpolation=False, camera_fov=20.0,
-        lighting=1.5 if track.dimension == 3 else 1.15,  # faces that look at the viewer have the colours of the bar
+        lighting=1.5 if track.dimension == 3 else 1.15,  # faces that look at the viewer have the colors of the bar
     )  # fmt: skip
-    plot += k3d.mesh(points, faces, triangles_attribute=colours, name="body", **look)
+    plot += k3d.mesh(points, faces, triangles_attribute=colors, name="body", **look)
     if len(faces) <= MOST_EDGES:
         plot += k3d.mesh(points, faces, color=0x21262F, wireframe=True, opacity=0.25, name="edges")
-    crease, contour = sharp_edges(track.rest, track.faces, toward)
+    crease, contour = find_sharp_edges(track.rest, track.faces, toward)
     edges: Ints = np.concatenate([crease, contour])
     plot += k3d.lines(
         track.rest, edges.astype(np.uint32), indices_type="segment", shader="simple", color=_OUTLINE, name="rest shape"
@@ -149,13 +156,13 @@ def _rounded(points: NDArray[np.float32], size: float) -> NDArray[np.float32]:
 
 
 def _places(ratio: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
-    """Return the places of volume ratios on the colour map, 0 to 254; -1 where inverted."""
+    """Return the places of volume ratios on the color map, 0 to 254; -1 where inverted."""
     place = np.clip(((ratio - 1) / (2 * radius) + 0.5) * _STEPS, 0, _STEPS).round()
     return np.where(ratio > 0, place, -1.0).astype(np.float32)
 
 
-def _colour_map(palette: Palette) -> list[float]:
-    """Return [place, red, green, blue, ...] of the movie's colours, with that of inverted cells before them."""
+def _color_map(palette: Palette) -> list[float]:
+    """Return [place, red, green, blue, ...] of the movie's colors, with that of inverted cells before them."""
     span = _STEPS + 1.0
     stops = [(0.0, np.array(INVERTED)), (0.5 / span, np.array(INVERTED))]
     stops += [((i + 1) / span, palette.table[round(i * 255 / _STEPS)]) for i in range(0, _STEPS + 1, 2)]
@@ -170,8 +177,8 @@ def _program() -> str:
     return base64.b64encode(zlib.compress(program, 9)).decode("ascii")
 
 
-def _licences() -> str:
-    """Return the licences of k3d and of what is inside its viewer."""
+def _licenses() -> str:
+    """Return the licenses of k3d and of what is inside its viewer."""
     own = [
         path.read_text() for path in distribution("k3d").files or () if path.parts[-2:] == ("licenses", "LICENSE.txt")
     ]

@@ -24,7 +24,7 @@ class WorstCell:
     place: tuple[float, ...]
 
 
-def worst_cells(statistics: "xarray.Dataset", mesh: Mesh, count: int) -> list[WorstCell]:
+def find_worst_cells(statistics: "xarray.Dataset", mesh: Mesh, count: int) -> list[WorstCell]:
     """Return the cells with the largest |V / V0 - 1| of all frames, the worst first; only finite ratios count."""
     ratio, frame = _extremes(statistics["volume_ratio"])
     change = np.abs(ratio - 1)

@@ -10,7 +10,7 @@ TITLE, HEADER, CURVE, FOOTER = 58, 54, 62, 100  # heights at 720 lines
 
 
 @dataclass(frozen=True)
-class Layout:
+class PictureLayout:
     """A page: a panel has its label and numbers above the scene, and the curve of total volume below it."""
 
     size: tuple[int, int]
@@ -65,13 +65,13 @@ class Layout:
         )  # fmt: skip
 
 
-def choose_layout(count: int, size: tuple[int, int], camera: Camera) -> Layout:
+def choose_layout(count: int, size: tuple[int, int], camera: Camera) -> PictureLayout:
     """Return the grid in which bodies are largest; side by side unless another is a third better."""
 
-    def metres(layout: Layout) -> float:
+    def meters(layout: PictureLayout) -> float:
         left, top, right, bottom = layout.scene(layout.panels[0])
         return camera.pixel_size(max(right - left, 1), max(bottom - top, 1))
 
-    layouts = [Layout(size, rows, columns, count) for rows, columns in GRIDS[count]]
-    best = min(layouts, key=metres)
-    return best if metres(best) * 4 / 3 < metres(layouts[0]) else layouts[0]
+    layouts = [PictureLayout(size, rows, columns, count) for rows, columns in GRIDS[count]]
+    best = min(layouts, key=meters)
+    return best if meters(best) * 4 / 3 < meters(layouts[0]) else layouts[0]

@@ -15,8 +15,9 @@ from pipeline.views.camera import fit_camera
 from pipeline.views.movie.encoder import Encoder
 from pipeline.views.movie.layout import GRIDS, choose_layout
 from pipeline.views.movie.page import Page
-from pipeline.views.movie.scene import Palette, Scene, State
-from pipeline.views.track import Track, colour_radius, read_track
+from pipeline.views.movie.scene import Canvas, PanelState
+from pipeline.views.palette import Palette
+from pipeline.views.track import Track, choose_color_radius, read_track
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -33,7 +34,7 @@ class MovieSummary:
     seconds: float
     speed: float  # simulated seconds a second of film; lower than asked for where the film was too short
     poster_time: float  # when the largest |V / V0 - 1| of all panels is reached [s]
-    colour_range: tuple[float, float]
+    color_range: tuple[float, float]
     scenes: int  # frames that differ in more than the clock
 
 
@@ -66,9 +67,9 @@ def write_movie(
     _check(series, labels, size, speed, fps)
     ensure_opengl()
     tracks = [read_track(one, label) for one, label in zip(series, labels, strict=True)]
-    line = timeline(tracks, speed, fps)
+    line = plan_timeline(tracks, speed, fps)
     with _Studio(tracks, title, size, _speed_note(line)) as studio:
-        moment = poster_time(tracks)
+        moment = find_poster_time(tracks)
         if poster is not None:
             with whole_file(poster) as temporary:
                 studio.picture(moment).save(temporary, format="PNG", optimize=True)
@@ -98,7 +99,7 @@ def _check(
         raise OutputError(f"movie speed {speed:g} and fps {fps:g} have to be positive")
 
 
-def timeline(tracks: Sequence[Track], speed: float, fps: float) -> Timeline:
+def plan_timeline(tracks: Sequence[Track], speed: float, fps: float) -> Timeline:
     """Return the times to show; a motion shorter than 2 s of film is slowed down to that."""
     start = min(float(track.times[0]) for track in tracks)
     end = max(float(track.times[-1]) for track in tracks)
@@ -117,7 +118,7 @@ def _speed_note(line: Timeline) -> str:
     return "real time" if abs(line.speed - 1) < 1e-6 else f"{line.speed:.3g} × real time"
 
 
-def poster_time(tracks: Sequence[Track]) -> float:
+def find_poster_time(tracks: Sequence[Track]) -> float:
     """Return when the largest |V / V0 - 1| of all cells of all panels is reached [s]."""
     peaks = [(float(np.nanmax(t.worst)), float(t.times[int(np.nanargmax(t.worst))])) for t in tracks]
     return max(peaks)[1]
@@ -129,13 +130,13 @@ class _Studio:
     def __init__(self, tracks: Sequence[Track], title: str, size: tuple[int, int], note: str) -> None:
         self._tracks = tracks
         self._end = max(float(track.times[-1]) for track in tracks)
-        self.radius, self.scenes = colour_radius(tracks), 0
+        self.radius, self.scenes = choose_color_radius(tracks), 0
         camera, palette = fit_camera(tracks), Palette(self.radius)
         layout = choose_layout(len(tracks), size, camera)
         left, top, right, bottom = layout.scene(layout.panels[0])
         self._page = Page(tracks, layout, camera, palette, title, note)
-        self._scene = Scene(tracks, camera, palette, (right - left, bottom - top))
-        self._last: tuple[list[State], list[Image.Image]] = ([], [])
+        self._scene = Canvas(tracks, camera, palette, (right - left, bottom - top))
+        self._last: tuple[list[PanelState], list[Image.Image]] = ([], [])
 
     def picture(self, time: float) -> "Image.Image":
         """Return the whole page at a time."""
@@ -145,7 +146,7 @@ class _Studio:
             self.scenes += 1
         return self._page.compose(self._last[1], states, time)
 
-    def _state(self, track: Track, time: float) -> State:
+    def _state(self, track: Track, time: float) -> PanelState:
         index = track.at(time)
         # the last frame of a series that failed is still good at its own time
         ended = index == len(track.times) - 1 and time > track.times[-1] * (1 + 1e-9)

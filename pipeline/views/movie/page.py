@@ -1,4 +1,4 @@
-"""Everything around the bodies: title, panel texts, curves of total volume, colour bar and clock, drawn by PIL.
+"""Everything around the bodies: title, panel texts, curves of total volume, color bar and clock, drawn by PIL.
 
 What does not change is drawn once; a frame pastes the panels into it and adds its numbers.
 """
@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.views.camera import Camera
-from pipeline.views.movie.layout import Layout, Rect
-from pipeline.views.movie.scene import INVERTED, OVERSAMPLING, Palette, State
+from pipeline.views.movie.layout import PictureLayout, Rect
+from pipeline.views.movie.scene import OVERSAMPLING, PanelState
+from pipeline.views.palette import INVERTED, Palette
 from pipeline.views.track import Track
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ CURVE_AHEAD, FAILED = (198, 203, 213), (190, 18, 44)
 
 
 @cache
-def font(size: int, bold: bool = False) -> "ImageFont.FreeTypeFont":
+def load_font(size: int, bold: bool = False) -> "ImageFont.FreeTypeFont":
     """Return DejaVu Sans, which matplotlib carries along: the same picture on every machine."""
     import matplotlib
     from PIL import ImageFont
@@ -36,16 +37,16 @@ def font(size: int, bold: bool = False) -> "ImageFont.FreeTypeFont":
 def _fitted(draw: Any, text: str, size: float, width: float, bold: bool = False) -> "ImageFont.FreeTypeFont":
     """Return the largest font up to a size in which a text is no wider than a width; 6 pixels at least."""
     fitted = int(size)
-    while fitted > 6 and draw.textlength(text, font(fitted, bold)) > width:
+    while fitted > 6 and draw.textlength(text, load_font(fitted, bold)) > width:
         fitted -= 1
-    return font(max(fitted, 6), bold)
+    return load_font(max(fitted, 6), bold)
 
 
 class Page:
     """A picture of all panels at one time; `compose` returns it."""
 
     def __init__(
-        self, tracks: Sequence[Track], layout: Layout, camera: Camera, palette: Palette, title: str, note: str
+        self, tracks: Sequence[Track], layout: PictureLayout, camera: Camera, palette: Palette, title: str, note: str
     ) -> None:
         self._tracks, self._layout, self._palette = tracks, layout, palette
         self._start = min(float(track.times[0]) for track in tracks)
@@ -61,7 +62,7 @@ class Page:
         self._time_digits = int(np.clip(np.ceil(-np.log10(max(step, 1e-9))), 2, 6))
         self._still = self._draw_still(title, note, camera)
 
-    def compose(self, panels: "Sequence[Image.Image]", states: Sequence[State], time: float) -> "Image.Image":
+    def compose(self, panels: "Sequence[Image.Image]", states: Sequence[PanelState], time: float) -> "Image.Image":
         """Return the page with these pictures of the panels, their numbers, and the clock at a time."""
         from PIL import ImageDraw
 
@@ -74,10 +75,10 @@ class Page:
         s, layout = self._layout.unit, self._layout
         clock = f"t = {time:.{self._time_digits}f} s"
         place = (layout.size[0] - 32 * s, layout.footer + 44 * s)
-        draw.text(place, clock, INK, font(round(19 * s)), anchor="rm")
+        draw.text(place, clock, INK, load_font(round(19 * s)), anchor="rm")
         return page
 
-    def _write_numbers(self, draw: Any, track: Track, rect: Rect, state: State) -> None:
+    def _write_numbers(self, draw: Any, track: Track, rect: Rect, state: PanelState) -> None:
         index, ended = state
         left, top, right, _ = rect
         s, width = self._layout.unit, right - left
@@ -90,12 +91,12 @@ class Page:
             parts = [(f"ends at t = {when} s", FAILED), (f"     V/V₀ from {low} to {high}", SOFT)]
         line = "".join(text for text, _ in parts)
         # no wider than the usual text, so that the panels of a page agree in size wherever they can
-        size = min(15 * s, 15 * s * (width - 16 * s) / draw.textlength(USUAL, font(round(15 * s))))
+        size = min(15 * s, 15 * s * (width - 16 * s) / draw.textlength(USUAL, load_font(round(15 * s))))
         face = _fitted(draw, line, size, width - 8 * s)
         lengths = [draw.textlength(text, face) for text, _ in parts]
         x = (left + right - sum(lengths)) / 2
-        for (text, colour), length in zip(parts, lengths, strict=True):
-            draw.text((x, top + 40 * s), text, colour, face, anchor="lm")
+        for (text, color), length in zip(parts, lengths, strict=True):
+            draw.text((x, top + 40 * s), text, color, face, anchor="lm")
             x += length
 
     def _mark_curve(self, page: "Image.Image", track: Track, rect: Rect, index: int) -> None:
@@ -134,7 +135,7 @@ class Page:
             self._draw_frame(draw, title)
             for track, rect in zip(self._tracks, self._layout.panels, strict=True):
                 self._draw_curve(draw, track, rect, curve)
-            self._draw_colour_bar(page, draw)
+            self._draw_color_bar(page, draw)
             self._draw_legend(draw, note, camera)
             pages.append(page.reduce(OVERSAMPLING))
         self._passed, ahead = pages
@@ -152,13 +153,13 @@ class Page:
         for line in layout.rules:
             draw.line([o * c for c in line], RULE, o)
 
-    def _draw_curve(self, draw: Any, track: Track, rect: Rect, colour: tuple[int, int, int]) -> None:
+    def _draw_curve(self, draw: Any, track: Track, rect: Rect, color: tuple[int, int, int]) -> None:
         """Draw total volume over time with its lines at 100 % and at the largest deviation of any panel."""
         o, s = OVERSAMPLING, self._layout.unit
         left, top, right, bottom = (float(o * c) for c in self._layout.curve(rect))
         span = self._total_high - self._total_low
         level = bottom - (1 - self._total_low) / span * (bottom - top)
-        face = font(max(round(11.5 * o * s), 6))
+        face = load_font(max(round(11.5 * o * s), 6))
         marks = [(level, 1.0)]
         for y, value in ((top, self._total_high), (bottom, self._total_low)):
             if abs(y - level) > 13 * o * s:
@@ -169,12 +170,12 @@ class Page:
             draw.text((left - 8 * o * s, y), f"{100 * value:.{digits}f} %", SOFT, face, anchor="rm")
         points = [(o * x, o * y) for x, y in self._curve_points(track, rect)]
         if len(points) > 1:
-            draw.line(points, colour, round(1.7 * o * s), joint="curve")
+            draw.line(points, color, round(1.7 * o * s), joint="curve")
         name_x = (o * rect[0] + left - 62 * o * s) / 2
         for i, word in enumerate(("total", "volume")):
             draw.text((name_x, (top + bottom) / 2 + (i - 0.5) * 15 * o * s), word, SOFT, face, anchor="mm")
 
-    def _draw_colour_bar(self, page: "Image.Image", draw: Any) -> None:
+    def _draw_color_bar(self, page: "Image.Image", draw: Any) -> None:
         """Draw the shared bar; an end that values lie beyond gets a point and <= or >=."""
         from PIL import Image
 
@@ -186,25 +187,25 @@ class Page:
         radius, table = self._palette.radius, self._palette.table
         below = min(float(np.nanmin(t.low)) for t in self._tracks) < 1 - radius
         above = max(float(np.nanmax(t.high)) for t in self._tracks) > 1 + radius
-        for clipped, x, tip, colour in (
+        for clipped, x, tip, color in (
             (below, left, -0.8 * height, table[0]),
             (above, left + width - 1, 0.8 * height, table[-1]),
         ):
             if clipped:
                 corners = [(x, top), (x, top + height - 1), (x + tip, top + height / 2)]
-                draw.polygon(corners, tuple(int(c) for c in colour))
-        face = font(max(round(13 * o * s), 6))
+                draw.polygon(corners, tuple(int(c) for c in color))
+        face = load_font(max(round(13 * o * s), 6))
         for i in range(5):
             sign = "≤ " if i == 0 and below else "≥ " if i == 4 and above else ""
             text = f"{sign}{1 - radius + i * radius / 2:.2f}"
             draw.text((left + i * width / 4, top + height + 13 * o * s), text, INK, face, anchor="mm")
         caption = "volume ratio V / V₀   (1 = volume kept)"
-        draw.text((o * layout.size[0] / 2, top - 15 * o * s), caption, INK, font(round(14 * o * s)), anchor="mm")
+        draw.text((o * layout.size[0] / 2, top - 15 * o * s), caption, INK, load_font(round(14 * o * s)), anchor="mm")
 
     def _draw_legend(self, draw: Any, note: str, camera: Camera) -> None:
-        """Draw the axes and what lines and colours mean (left), and how fast the movie runs (right)."""
+        """Draw the axes and what lines and colors mean (left), and how fast the movie runs (right)."""
         o, s, layout = OVERSAMPLING, self._layout.unit, self._layout
-        face = font(max(round(13 * o * s), 6))
+        face = load_font(max(round(13 * o * s), 6))
         origin = np.array([50 * o * s, o * (layout.footer + 62 * s)])
         for i, name in enumerate("xyz"):
             arm = np.array([camera.right[i], -camera.up[i]]) * 27 * o * s
@@ -218,12 +219,12 @@ class Page:
         rows: list[tuple[tuple[int, int, int], str]] = [((143, 148, 161), "rest shape")]
         if any_inverted:
             rows.append((INVERTED, "inverted (V < 0)"))
-        for i, (colour, text) in enumerate(rows):
+        for i, (color, text) in enumerate(rows):
             row = y + i * 22 * o * s
-            if colour == INVERTED:
-                draw.rectangle([x, row - 5 * o * s, x + 20 * o * s, row + 5 * o * s], colour)
+            if color == INVERTED:
+                draw.rectangle([x, row - 5 * o * s, x + 20 * o * s, row + 5 * o * s], color)
             else:
-                draw.line([x, row, x + 20 * o * s, row], colour, round(1.4 * o * s))
+                draw.line([x, row, x + 20 * o * s, row], color, round(1.4 * o * s))
             draw.text((x + 29 * o * s, row), text, SOFT, face, anchor="lm")
         place = (o * (layout.size[0] - 32 * s), o * (layout.footer + 68 * s))
         draw.text(place, note, SOFT, face, anchor="rm")

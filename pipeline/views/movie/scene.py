@@ -7,40 +7,21 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
 from pipeline.views.camera import Camera
-from pipeline.views.track import Track, sharp_edges
+from pipeline.views.palette import Palette
+from pipeline.views.track import Track, find_sharp_edges
 
 if TYPE_CHECKING:
     from PIL import Image
 
 OVERSAMPLING = 2
-INVERTED = (214, 0, 196)  # magenta: far from every colour of the map
 CREASE_COLOUR, OUTLINE_COLOUR, EDGE_COLOUR = (0.16, 0.18, 0.24), (0.56, 0.58, 0.63), (0.13, 0.15, 0.22)
-DIMMED = 0.68  # how much of a panel that ended early is white
-State = tuple[int, bool]  # frame shown, whether the series has ended
+PanelState = tuple[int, bool]  # frame shown, whether the series has ended
 
 
-class Palette:
-    """Volume ratio to colour: a diverging map about 1 with a grey middle, saturated at both ends."""
-
-    def __init__(self, radius: float) -> None:
-        from matplotlib import colormaps
-
-        self.radius = radius
-        self.table = (np.asarray(colormaps["coolwarm"](np.linspace(0, 1, 256)))[:, :3] * 255).round().astype(np.uint8)
-
-    def colours(self, ratio: NDArray[np.float32], dimmed: bool) -> NDArray[np.uint8]:
-        """Return the colour of every face (f, 3)."""
-        place = np.nan_to_num((ratio - 1) / (2 * self.radius) + 0.5, nan=0.5)
-        rgb = self.table[np.clip(place * 256, 0, 255).astype(np.int64)]
-        rgb[~(ratio > 0)] = INVERTED
-        return (rgb * (1 - DIMMED) + 255 * DIMMED).astype(np.uint8) if dimmed else rgb
-
-
-class Scene:
+class Canvas:
     """All panels in one off-screen window, side by side; `draw` returns one picture a panel.
 
     ensure_opengl() has to be called before.
@@ -66,7 +47,7 @@ class Scene:
         self._grab.ReadFrontBufferOff()
         self._grab.ShouldRerenderOff()
 
-    def draw(self, states: Sequence[State]) -> "list[Image.Image]":
+    def draw(self, states: Sequence[PanelState]) -> "list[Image.Image]":
         """Return the picture of every panel, at its own size."""
         from PIL import Image
         from vtkmodules.util.numpy_support import vtk_to_numpy
@@ -99,22 +80,22 @@ class _Body:
         self.track, self._palette = track, palette
         # VTK looks into these two arrays: writing to them is all that a new frame takes
         self._points = track.rest.copy()
-        self._colours = np.zeros((len(track.faces), 3), dtype=np.uint8)
+        self._colors = np.zeros((len(track.faces), 3), dtype=np.uint8)
         self._vtk_points: Any = vtkPoints()
         self._vtk_points.SetData(numpy_to_vtk(self._points))
-        self._vtk_colours: Any = numpy_to_vtk(self._colours)
-        creases, contour = sharp_edges(track.rest, track.faces, camera.toward)
-        metres = camera.pixel_size(*panel)
+        self._vtk_colors: Any = numpy_to_vtk(self._colors)
+        creases, contour = find_sharp_edges(track.rest, track.faces, camera.toward)
+        meters = camera.pixel_size(*panel)
         self._surface: Any = vtkPolyData()
         self._surface.SetPoints(self._vtk_points)
         self._surface.SetPolys(_cell_array(track.faces))
-        self._surface.GetCellData().SetScalars(self._vtk_colours)
+        self._surface.GetCellData().SetScalars(self._vtk_colors)
         self._creases = _lines(self._vtk_points, creases)
         rest_points: Any = vtkPoints()
         rest_points.SetData(numpy_to_vtk(track.rest, deep=True))
         scale = OVERSAMPLING * min(1.0, panel[1] / 400)
-        self.renderer = _renderer(camera, metres * panel[1] / 2)
-        self.renderer.AddActor(_surface_actor(self._surface, track, metres, scale))
+        self.renderer = _renderer(camera, meters * panel[1] / 2)
+        self.renderer.AddActor(_surface_actor(self._surface, track, meters, scale))
         self._crease_actor = _line_actor(self._creases, CREASE_COLOUR, 1.1 * scale)
         self.renderer.AddActor(self._crease_actor)
         outline = _lines(rest_points, np.concatenate([creases, contour]))
@@ -123,9 +104,9 @@ class _Body:
     def show(self, index: int, dimmed: bool) -> None:
         """Put one frame in place."""
         self._points[:] = self.track.points[index]
-        self._colours[:] = self._palette.colours(self.track.ratio[index], dimmed)
+        self._colors[:] = self._palette.map_colors(self.track.ratio[index], dimmed)
         self._crease_actor.GetProperty().SetOpacity(0.3 if dimmed else 1.0)
-        for changed in (self._vtk_points, self._vtk_colours, self._surface, self._creases):
+        for changed in (self._vtk_points, self._vtk_colors, self._surface, self._creases):
             changed.Modified()
 
 
@@ -150,7 +131,7 @@ def _lines(points: Any, edges: Ints) -> Any:
     return data
 
 
-def _surface_actor(data: Any, track: Track, metres: float, scale: float) -> Any:
+def _surface_actor(data: Any, track: Track, meters: float, scale: float) -> Any:
     from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
 
     mapper: Any = vtkPolyDataMapper()
@@ -163,12 +144,12 @@ def _surface_actor(data: Any, track: Track, metres: float, scale: float) -> Any:
     actor.SetMapper(mapper)
     look = actor.GetProperty()
     look.SetInterpolationToFlat()
-    # mostly ambient: a shaded colour must still be found on the colour bar; in the plane there is nothing to shade
+    # mostly ambient: a shaded color must still be found on the color bar; in the plane there is nothing to shade
     look.SetAmbient(1.0 if track.dimension == 2 else 0.62)
     look.SetDiffuse(0.0 if track.dimension == 2 else 0.50)
     corners = track.rest[track.faces]
-    edge_pixels = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))) / metres
-    # below some pixels an edge, the lines would cover the colours: they fade out
+    edge_pixels = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))) / meters
+    # below some pixels an edge, the lines would cover the colors: they fade out
     opacity = float(np.clip((edge_pixels - 3) / 15, 0.0, 1.0)) * 0.42
     if opacity > 0:
         look.EdgeVisibilityOn()
@@ -178,7 +159,7 @@ def _surface_actor(data: Any, track: Track, metres: float, scale: float) -> Any:
     return actor
 
 
-def _line_actor(data: Any, colour: tuple[float, float, float], width: float) -> Any:
+def _line_actor(data: Any, color: tuple[float, float, float], width: float) -> Any:
     from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
 
     mapper: Any = vtkPolyDataMapper()
@@ -187,7 +168,7 @@ def _line_actor(data: Any, colour: tuple[float, float, float], width: float) -> 
     actor.SetMapper(mapper)
     look = actor.GetProperty()
     look.LightingOff()
-    look.SetColor(*colour)
+    look.SetColor(*color)
     look.SetLineWidth(width)
     return actor
 
@@ -198,7 +179,7 @@ def _renderer(camera: Camera, half_height: float) -> Any:
 
     renderer: Any = vtkRenderer()
     renderer.SetBackground(1, 1, 1)
-    # lights made automatically or added to a plotter reach every viewport and burn the colours out
+    # lights made automatically or added to a plotter reach every viewport and burn the colors out
     renderer.AutomaticLightCreationOff()
     light: Any = vtkLight()
     light.SetLightTypeToCameraLight()
@@ -207,9 +188,9 @@ def _renderer(camera: Camera, half_height: float) -> Any:
     renderer.AddLight(light)
     view = renderer.GetActiveCamera()
     depth = float(camera.high[2] - camera.low[2]) + half_height
-    centre: Floats = camera.centre
-    view.SetFocalPoint(*centre)
-    view.SetPosition(*(centre + 2 * depth * camera.toward))
+    center: Floats = camera.center
+    view.SetFocalPoint(*center)
+    view.SetPosition(*(center + 2 * depth * camera.toward))
     view.SetViewUp(*camera.up)
     view.ParallelProjectionOn()
     view.SetParallelScale(half_height)
