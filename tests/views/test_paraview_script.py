@@ -1,20 +1,29 @@
 """open_in_paraview.py without ParaView: `make test-paraview` runs it in the real one."""
 
 import ast
-import re
+import sys
+from unittest.mock import MagicMock
 
 import pytest
 
 from pipeline.case import load_case
 from pipeline.results.run_case import run_campaign
+from pipeline.views import camera
 from pipeline.views.paraview import SCRIPT_NAME, write_script
 from tests.bodies import without_figures, write_case
 
 
-def constants(script):
-    assigned = [node for node in ast.parse(script.read_text()).body if isinstance(node, ast.Assign)]
-    found = {node.targets[0].id: node.value for node in assigned if isinstance(node.targets[0], ast.Name)}
-    return {name: ast.literal_eval(found[name]) for name in ("VARIANTS", "RADIUS")}
+def read_values(script):
+    """The values that were written into a script; it has to be valid for the Python 3.9 of ParaView 5.11."""
+    values = {}
+    for node in ast.parse(script.read_text(), feature_version=(3, 9)).body:
+        if isinstance(node, ast.Assign):
+            target, value = node.targets[0], ast.literal_eval(node.value)
+            if isinstance(target, ast.Tuple):
+                values |= {name.id: part for name, part in zip(target.elts, value, strict=True)}
+            else:
+                values[target.id] = value
+    return values
 
 
 @pytest.mark.parametrize(("name", "index"), [("vtu", "series.pvd"), ("vtkhdf", "series.vtkhdf")])
@@ -22,17 +31,39 @@ def test_each_run_leaves_a_script_that_names_its_variants_by_relative_paths(tmp_
     without_figures(monkeypatch)
     result = run_campaign(load_case(write_case(tmp_path, output={"format": name})), tmp_path / "out", movie=False)
     script = result.folder / SCRIPT_NAME
-    found = constants(script)
+    values = read_values(script)
     assert script in result.made
-    assert found["VARIANTS"] == [(one.name, f"{one.name}/{index}") for one in result.variants]
-    assert all((result.folder / path).is_file() for _, path in found["VARIANTS"])
-    assert 0 < found["RADIUS"] <= 1
+    assert values["VARIANTS"] == [(one.name, f"{one.name}/{index}") for one in result.variants]
+    assert all((result.folder / path).is_file() for _, path in values["VARIANTS"])
+    assert 0 < values["RADIUS"] <= 1
     script.unlink()
     again = run_campaign(load_case(write_case(tmp_path, output={"format": name})), tmp_path / "out", movie=False)
     assert script in again.made  # made anew though nothing had to be solved
 
 
 def test_any_name_is_written_as_it_is(tmp_path):
-    script = write_script(tmp_path, {'it\'s \\ "odd"': "it's/series.pvd"}, radius=0.06)
-    assert constants(script) == {"VARIANTS": [('it\'s \\ "odd"', "it's/series.pvd")], "RADIUS": 0.06}
-    assert not re.findall(r"@[A-Z]+@", script.read_text())
+    values = read_values(write_script(tmp_path, {'it\'s \\1 "odd"': "it's/series.pvd"}, radius=0.06))
+    assert values["VARIANTS"] == [('it\'s \\1 "odd"', "it's/series.pvd")]
+    assert (values["RADIUS"], values["FOLDER"]) == (0.06, str(tmp_path))
+    assert (values["ASIDE"], values["RAISED"], values["LONG"]) == (camera.ASIDE, camera.RAISED, camera.LONG)
+
+
+def test_the_script_runs_whole_against_a_stand_in_for_paraview(tmp_path, monkeypatch):
+    simple = MagicMock()
+    view = simple.GetActiveViewOrCreate.return_value
+    view.ViewSize, view.ViewTime = [1280, 720], 0.0
+    reader = simple.PVDReader.return_value
+    reader.TimestepValues = [0.0, 0.1]
+    reader.GetDataInformation.return_value.GetBounds.return_value = (0.0, 4.0, 0.0, 12.0, 0.0, 4.0)
+    monkeypatch.setitem(sys.modules, "paraview", MagicMock(simple=simple))
+    monkeypatch.setattr(sys, "argv", ["open_in_paraview.py", "--screenshot", "picture.png"])
+    for name in ("linear", "polar"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "series.pvd").touch()
+    indices = {name: f"{name}/series.pvd" for name in ("linear", "polar")}
+    script = write_script(tmp_path, indices, radius=0.2)
+    exec(compile(script.read_text(), script, "exec"), {"__name__": "__main__"})
+    assert simple.PVDReader.call_count == 2
+    simple.SaveScreenshot.assert_called_once_with("picture.png", view, ImageResolution=[1280, 720])
+    table = simple.GetColorTransferFunction.return_value
+    table.RescaleTransferFunction.assert_called_once_with(0.8, 1.2)
