@@ -12,10 +12,11 @@ In five lines:
 from pipeline.case import load_case
 from pipeline.errors import PipelineError
 from pipeline.problem.build import build
+from pipeline.problem.python_case import make_case
 from pipeline.run.frames import frames, record
 from pipeline.series import read_series
 from pipeline.system.version import VERSION
 
 __version__ = VERSION
 
-__all__ = ["PipelineError", "__version__", "build", "frames", "load_case", "read_series", "record"]
+__all__ = ["PipelineError", "__version__", "build", "frames", "load_case", "make_case", "read_series", "record"]

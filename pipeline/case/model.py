@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from pipeline.case.document import read_document
 from pipeline.case.messages import describe_first_fault, name_faulty_key
 from pipeline.case.overrides import apply_override, list_dropped_keys
+from pipeline.case.python_values import PythonValue
 from pipeline.case.specs import ONLY_VARIANT, CaseFile, MovieSpec, Spec
 from pipeline.case.values import join_key
 from pipeline.errors import CaseError, join_names, quote_value
@@ -115,6 +116,14 @@ def load_case(
         raise CaseError(f"{place}: nested too deeply") from None
 
 
+def validate_case(document: Mapping[str, Any], path: Path) -> Case:
+    """Return the case of a document that was made in Python, every variant checked; raises CaseError."""
+    case = _validate(dict(document), path)
+    for name in case.variant_names:
+        case.variant(name)
+    return case
+
+
 def _validate(
     document: dict[str, Any],
     path: Path,
@@ -175,6 +184,8 @@ def _to_toml_values(value: Any, written: bool) -> Any:
         kept = [name for name in names if not written or name in value.model_fields_set]
         items = ((name, getattr(value, name)) for name in kept)
         return {name: _to_toml_values(item, written) for name, item in items if item is not None}
+    if isinstance(value, PythonValue):
+        return value if written else value.description
     if isinstance(value, Mapping):
         return {str(key): _to_toml_values(item, written) for key, item in value.items()}
     return [_to_toml_values(item, written) for item in value] if isinstance(value, list | tuple) else value

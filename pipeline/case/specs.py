@@ -18,6 +18,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema
 from pydantic_core.core_schema import no_info_before_validator_function
 
+from pipeline.case.python_values import PythonValue
 from pipeline.case.values import (
     AxisName,
     Count,
@@ -64,7 +65,7 @@ class Spec(BaseModel):
 
 
 class MeshSpec(Spec):
-    """The mesh: a shape with its size and cells, or a file with a scale."""
+    """The mesh: a shape with its size and cells, a file with a scale, or arrays from Python."""
 
     shape: Annotated[Text | None, about("a shape that is meshed by rule")] = None
     size: Annotated[Lengths | None, about("extent of the shape along each axis", "m")] = None
@@ -72,17 +73,20 @@ class MeshSpec(Spec):
     split: Annotated[Text, about("how a block is split into simplices")] = "kuhn"
     file: Annotated[Text | None, about("a mesh file, relative to the case file; any format that meshio reads")] = None
     scale: Annotated[Positive, about("factor that turns the file's coordinates into meters")] = 1.0
+    arrays: Annotated[PythonValue | None, about("points and cells, given in Python")] = None
 
     @model_validator(mode="after")
     def _check_source(self) -> "MeshSpec":
-        if (self.shape is None) == (self.file is None):
-            both = self.shape is not None
-            raise make_fault("shape and file exclude each other" if both else "neither shape nor file")
+        sources = [key for key in ("shape", "file", "arrays") if getattr(self, key) is not None]
+        if len(sources) != 1:
+            raise make_fault(
+                f"{sources[0]} and {sources[1]} exclude each other" if sources else "neither shape nor file"
+            )
         misplaced = self.derived_keys() & {key for key in self.model_fields_set if getattr(self, key) is not None}
         if misplaced:
-            source = "file" if self.file is None else "shape"
+            source = "shape" if min(misplaced) != "scale" else "file"
             raise make_fault(f"goes with {source}, which is not given", min(misplaced))
-        if self.file is None:
+        if self.shape is not None:
             for key in ("size", "cells"):
                 if getattr(self, key) is None:
                     raise make_fault("missing", key)
@@ -92,7 +96,8 @@ class MeshSpec(Spec):
         return self
 
     def derived_keys(self) -> frozenset[str]:
-        return frozenset({"scale"} if self.file is None else {"size", "cells", "split"})
+        keys = {"size", "cells", "split", "scale"}
+        return frozenset(keys - ({"scale"} if self.file else {"size", "cells", "split"} if self.shape else set()))
 
 
 class MaterialSpec(Spec):
@@ -126,15 +131,21 @@ class SpinSpec(Spec):
 
 
 class MotionSpec(Spec):
-    """The motion of supported nodes: a velocity, a spin, or both."""
+    """The motion of supported nodes: a velocity, a spin, or both; or a function from Python."""
 
     velocity: Annotated[Vector | None, about("velocity of the nodes", "m/s")] = None
     spin: Annotated[SpinSpec | None, about("rotation of the nodes about an axis; needs a center")] = None
+    displacement: Annotated[
+        PythonValue | None, about("displacement as a function of X and t, given in Python", "m")
+    ] = None
 
     @model_validator(mode="after")
     def _check_motion(self) -> "MotionSpec":
-        if self.velocity is None and self.spin is None:
+        rigid = self.velocity is not None or self.spin is not None
+        if not rigid and self.displacement is None:
             raise make_fault("neither velocity nor spin")
+        if rigid and self.displacement is not None:
+            raise make_fault("excludes velocity and spin", "displacement")
         return self
 
 
@@ -222,6 +233,12 @@ class LoadsSpec(Spec):
         about("force per rest volume: a vector, or a table with value and factor", "N/m3"),
     ] = None
     traction: Annotated[tuple[TractionSpec, ...], about("tractions on parts of the boundary")] = ()
+    body_force_field: Annotated[
+        PythonValue | None, about("force per rest volume at the nodes, an array or a function of X and t", "N/m3")
+    ] = None
+    nodal_forces: Annotated[
+        PythonValue | None, about("forces on the nodes, an array or a function of X and t", "N")
+    ] = None
 
 
 class InitialSpec(Spec):
@@ -230,6 +247,15 @@ class InitialSpec(Spec):
     velocity: Annotated[Vector | None, about("initial velocity of the free nodes", "m/s")] = None
     spin: Annotated[SpinSpec | None, about("initial rotation, added to the velocity")] = None
     factor: Annotated[FiniteNumber, about("factor that multiplies velocity and spin")] = 1.0
+    velocity_field: Annotated[
+        PythonValue | None, about("initial velocity of every node, an array from Python; excludes velocity", "m/s")
+    ] = None
+
+    @model_validator(mode="after")
+    def _check_velocity(self) -> "InitialSpec":
+        if self.velocity is not None and self.velocity_field is not None:
+            raise make_fault("velocity and velocity_field exclude each other")
+        return self
 
 
 class MethodSpec(Spec):

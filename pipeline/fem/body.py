@@ -20,13 +20,17 @@ from pipeline.mesh.simplex import Mesh
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What moves. `load` (n, d) [N] is the sum of the dead loads; `mass_pairs` makes the mass matrix of a cell."""
+    """The body that moves: mesh, law, supports and loads; `mass_pairs` makes the mass matrix of a cell.
+
+    `load` (n, d) [N] is the sum of the constant dead loads; `varying_load` returns the others at a time [s].
+    """
 
     mesh: Mesh
     law: Law
     supports: Supports
     load: Floats
     mass_pairs: Callable[[Mesh, float], Floats]
+    varying_load: Callable[[float], Floats] | None = None
 
     @property
     def material(self) -> Material:
@@ -97,6 +101,10 @@ class Body:
     def held_positions(self, time: float) -> Floats:
         """Return where the supports hold their nodes (k, d) at a time [s]; not to be changed."""
         return self.supports.positions(self.mesh.points, time) if self.supports.motions else self._held_at_rest
+
+    def load_at(self, time: float) -> Floats:
+        """Return all dead loads (n, d) [N] at a time [s]; the caller must not change them."""
+        return self.load if self.varying_load is None else self.load + self.varying_load(time)
 
     def momentum(self, v: Floats, out: Floats | None = None) -> Floats:
         """Return M v (n, d) [kg m/s], in `out` where that is given; lumped masses need no matrix."""

@@ -196,7 +196,12 @@ def _plain(x: Floats) -> Floats:
 
 
 def make_body(
-    mesh: Mesh, law: Law, supports: Supports, load: Floats, mass_pairs: Callable[[Mesh, float], Floats]
+    mesh: Mesh,
+    law: Law,
+    supports: Supports,
+    load: Floats,
+    mass_pairs: Callable[[Mesh, float], Floats],
+    varying_load: Callable[[float], Floats] | None = None,
 ) -> Body:
     """Return the body that is fastest for a law; a law that is none of ours has the plain one."""
     kind = Body
@@ -204,4 +209,4 @@ def make_body(
         kind = LinearBody
     elif isinstance(law, Corotational) and law.rotation in _ROTATIONS:
         kind = CompiledBody
-    return kind(mesh, law, supports, load, mass_pairs)
+    return kind(mesh, law, supports, load, mass_pairs, varying_load)

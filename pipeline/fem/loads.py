@@ -12,6 +12,13 @@ def body_force(mesh: Mesh, b: Floats) -> Floats:
     return mesh.node_volumes[:, None] * b
 
 
+def body_force_field(mesh: Mesh, b: Floats) -> Floats:
+    """Return the nodal forces (n, d) [N] of a force density b (n, d) [N/m3], given at the nodes and linear in cells."""
+    f = np.zeros_like(mesh.points)
+    np.add.at(f, mesh.cells, consistent_mass_pairs(mesh, 1.0) @ b[mesh.cells])
+    return f
+
+
 def normal_traction(mesh: Mesh, faces: Ints, traction: float) -> Floats:
     """Return the nodal forces t n A / d (n, d) [N] of a traction [Pa], positive outward, on the rest faces (f, d)."""
     share = traction * outward_areas(mesh.points, faces) / mesh.dimension

@@ -1,7 +1,8 @@
 """Supports: nodes whose positions are given, at rest or moving rigidly."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from pipeline.arrays import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class RigidMotion:
     """A rigid motion: translation at `velocity` [m/s] and turning about `center` at `rate` [rad/s] around `axis`.
 
     In the plane the axis is (0, 0, 1), or its opposite, and center and velocity have two components.
@@ -30,6 +31,34 @@ class Motion:
         d = X.shape[1]
         arm = np.pad(X - self.center, [(0, 0), (0, 3 - d)])
         return self.velocity + self.rate * np.cross(self.axis, arm)[:, :d]
+
+
+class Motion(Protocol):
+    """The motion of some held nodes."""
+
+    def positions(self, X: Floats, time: float) -> Floats:
+        """Return where the points X (k, d) are at a time [s]."""
+        ...
+
+    def velocities(self, X: Floats) -> Floats:
+        """Return the velocities of the points X (k, d) at the start [m/s]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class PrescribedMotion:
+    """A displacement u(X, t) (k, d) [m] that is zero at t = 0; the initial velocity is u(X, dt) / dt for a small dt."""
+
+    displacement: Callable[[Floats, float], Floats]
+    dt: float
+
+    def positions(self, X: Floats, time: float) -> Floats:
+        """Return where the points X (k, d) are at a time [s]."""
+        return X + self.displacement(X, time)
+
+    def velocities(self, X: Floats) -> Floats:
+        """Return the velocities of the points X (k, d) at the start [m/s]."""
+        return np.asarray(self.displacement(X, self.dt) / self.dt)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from pipeline.fem.material import Material
 from pipeline.linear.pardiso import library
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.simplex import Mesh, component_labels
-from pipeline.problem.conditions import dead_load, initial_state, supports
+from pipeline.problem.conditions import dead_load, initial_state, python_value, supports, varying_load
 from pipeline.problem.methods import INVERSIONS, LAWS, LINEAR_SOLVERS, MASSES, ROTATIONS, SHAPES, STEP_LIMITS, STEPPERS
 from pipeline.stepping.state import State, Stepper
 
@@ -55,7 +55,8 @@ def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
     material = Material(m.youngs_modulus, m.poisson_ratio, m.density)
     auto = case.method.model == "auto"
     law = Corotational(material) if auto else LAWS[case.method.law](material, ROTATIONS[case.method.rotation])
-    body = make_body(mesh, law, supports(case, mesh), dead_load(case, mesh), MASSES[case.method.mass])
+    mass = MASSES[case.method.mass]
+    body = make_body(mesh, law, supports(case, mesh), dead_load(case, mesh), mass, varying_load(case, mesh))
     if not body.free.size:
         raise case.make_error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
     _check_step(case, body)
@@ -69,6 +70,9 @@ def build_mesh(case: Case, *, note: Callable[[str], object] | None = None) -> Me
     """Return the rest mesh of a case, each clean-up of a file told to `note`; raises CaseError or MeshError."""
     spec = case.mesh
     try:
+        if spec.arrays is not None:
+            points, cells = python_value(case, "mesh.arrays", spec.arrays)
+            return Mesh(points, cells, name=case.name)
         if spec.shape is None:
             assert case.mesh_path is not None
             return read_mesh(case.mesh_path, spec.scale, note=note)

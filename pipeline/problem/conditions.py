@@ -1,19 +1,22 @@
-"""What a case says of where: node selections, supports and their motions, dead loads, the initial state."""
+"""Boundary and initial conditions: node selections, supports and their motions, dead loads, the initial state."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.case import Case, SpinSpec
+from pipeline.case.python_values import PythonValue
 from pipeline.fem.body import Body
-from pipeline.fem.loads import body_force, normal_traction
-from pipeline.fem.supports import Motion, Supports
+from pipeline.fem.loads import body_force, body_force_field, normal_traction
+from pipeline.fem.supports import Motion, PrescribedMotion, RigidMotion, Supports
 from pipeline.mesh.simplex import Mesh
 from pipeline.mesh.surface import boundary_faces
 from pipeline.stepping.state import State
 
 AXES = {"x": 0, "y": 1, "z": 2}
+_FIRST_INSTANT = 1e-4  # of a step: the time over which the initial velocity of a prescribed motion is taken
 
 
 def vector(case: Case, key: str, value: tuple[float, ...] | None, d: int) -> Floats:
@@ -76,14 +79,17 @@ def supports(case: Case, mesh: Mesh) -> Supports:
 
 def _motion(case: Case, key: str, spec: Any, mesh: Mesh) -> Motion:
     d = mesh.dimension
+    if spec.displacement is not None:
+        displacement = python_value(case, f"{key}.displacement", spec.displacement)
+        return PrescribedMotion(displacement, _FIRST_INSTANT * case.schedule.dt)
     velocity = vector(case, f"{key}.velocity", spec.velocity, d)
     if spec.spin is None:
-        return Motion(velocity, np.array([0.0, 0.0, 1.0]), 0.0, np.zeros(d))
+        return RigidMotion(velocity, np.array([0.0, 0.0, 1.0]), 0.0, np.zeros(d))
     axis = _axis(case, f"{key}.spin", spec.spin, d)
     if spec.spin.center is None:
         raise case.make_error(f"{key}.spin.center", "missing: the point that the supports turn about")
     center = vector(case, f"{key}.spin.center", spec.spin.center, d)
-    return Motion(velocity, axis, float(np.radians(spec.spin.rate)), center)
+    return RigidMotion(velocity, axis, float(np.radians(spec.spin.rate)), center)
 
 
 def _axis(case: Case, key: str, spin: SpinSpec, d: int) -> Floats:
@@ -111,7 +117,47 @@ def dead_load(case: Case, mesh: Mesh) -> Floats:
         if not len(loaded):
             raise case.make_error(f"loads.traction.{i}", "its nodes are not the corners of any boundary face")
         f += normal_traction(mesh, loaded, spec.normal_traction)
+    return f + _constant_field(case, mesh)
+
+
+def python_value(case: Case, key: str, given: PythonValue) -> Any:
+    """Return an array or function that the case carries; raises CaseError if it was read back from a file."""
+    if given.value is None:
+        raise case.make_error(key, "was given in Python and is not in the file; make the case in Python again")
+    return given.value
+
+
+def _constant_field(case: Case, mesh: Mesh) -> Floats:
+    """Return the nodal forces (n, d) [N] of arrays that were given in Python."""
+    f = np.zeros_like(mesh.points)
+    for name, integrate in _LOAD_FIELDS.items():
+        given = getattr(case.loads, name)
+        if given is not None and not callable(value := python_value(case, f"loads.{name}", given)):
+            f += integrate(mesh, value)
     return f
+
+
+def varying_load(case: Case, mesh: Mesh) -> Callable[[float], Floats] | None:
+    """Return the dead loads (n, d) [N] that are functions of time [s], None if there are none."""
+    functions = [
+        (integrate, value)
+        for name, integrate in _LOAD_FIELDS.items()
+        if (given := getattr(case.loads, name)) is not None
+        and callable(value := python_value(case, f"loads.{name}", given))
+    ]
+    if not functions:
+        return None
+
+    def load(time: float) -> Floats:
+        return np.asarray(sum(integrate(mesh, function(mesh.points, time)) for integrate, function in functions))
+
+    return load
+
+
+_LOAD_FIELDS: dict[str, Callable[[Mesh, Floats], Floats]] = {
+    "body_force_field": body_force_field,
+    "nodal_forces": lambda mesh, forces: forces,
+}
 
 
 def initial_state(case: Case, body: Body) -> State:
@@ -119,6 +165,8 @@ def initial_state(case: Case, body: Body) -> State:
     mesh, initial = body.mesh, case.initial
     d = mesh.dimension
     v = np.broadcast_to(vector(case, "initial.velocity", initial.velocity, d), mesh.points.shape)
+    if initial.velocity_field is not None:
+        v = python_value(case, "initial.velocity_field", initial.velocity_field)
     if initial.spin is not None:
         mean = mesh.node_volumes @ mesh.points / mesh.rest_volumes.sum()  # of a uniform body: the centre of mass
         spin = initial.spin

@@ -99,7 +99,9 @@ def stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
     if auto:
         # the linear rung keeps its factor, so it has a solver of its own
-        linear = make_body(body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs)
+        linear = make_body(
+            body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs, body.varying_load
+        )
         linear.rehearse()
         prefactored = Prefactored(linear, _linear_solver(body, h, method, constant=True), h)
         newton = Converged(body, solver, limits)

@@ -17,6 +17,8 @@ def case_schema() -> dict[str, Any]:
     choice here. The variants have every dotted key of the sections that a variant may change.
     """
     schema = _without_null(CaseFile.model_json_schema())
+    for table in (schema, *schema["$defs"].values()):
+        table["properties"] = {key: entry for key, entry in table["properties"].items() if "python" not in entry}
     definitions = schema["$defs"]
     for key, choices in DESCRIPTIONS.items():
         section, _, name = key.partition(".")

@@ -98,7 +98,7 @@ def _frame(problem: Problem, state: State, work: Work) -> Frame:
         x=state.x,
         step=state.step,
         v=state.v,
-        known=dynamics(problem.body, state) | _effort(problem, work),
+        known=dynamics(problem.body, state, state.step * problem.dt) | _effort(problem, work),
         work=work,
         state=state,
     )
@@ -116,8 +116,8 @@ def _effort(problem: Problem, work: Work) -> dict[str, Floats]:
     return effort | whole | dict(zip(STEPS, steps.T.copy(), strict=True))
 
 
-def dynamics(body: Body, state: State) -> dict[str, Floats]:
-    """Return the energies [J] and momenta of a state, by the names of measures.VARIABLES."""
+def dynamics(body: Body, state: State, time: float) -> dict[str, Floats]:
+    """Return the energies [J] and momenta of a state at a time [s], by the names of measures.VARIABLES."""
     p = body.momentum(state.v)
     xp = np.zeros((3, 3))  # sum_n x_n p_n^T, whose skew part is the sum of x_n x p_n
     xp[: body.mesh.dimension, : body.mesh.dimension] = state.x.T @ p
@@ -125,7 +125,7 @@ def dynamics(body: Body, state: State) -> dict[str, Floats]:
     return {
         "kinetic_energy": np.asarray(0.5 * np.vdot(state.v, p)),
         "elastic_energy": np.asarray(body.energy(state.x)),
-        "potential_energy": np.asarray(-np.vdot(body.load, state.x - body.mesh.points)),
+        "potential_energy": np.asarray(-np.vdot(body.load_at(time), state.x - body.mesh.points)),
         "linear_momentum": spatial(p.sum(axis=0)),
         "angular_momentum": turning,
     }

@@ -25,9 +25,10 @@ class BackwardEuler:
 
     def step(self, state: State) -> tuple[State, Work]:
         """Return the state dt later."""
-        held = self.body.held_positions((state.step + 1) * self.dt)
+        end = (state.step + 1) * self.dt
+        held, load = self.body.held_positions(end), self.body.load_at(end)
         R, memory = tracked_rotations(self.treatment, self.body, state.x, state)
-        x, v, work = self.stage_solver.solve(Stage(state.x, state.v, self.dt, state.x, state.x, held, R))
+        x, v, work = self.stage_solver.solve(Stage(state.x, state.v, self.dt, state.x, state.x, held, load, R))
         work.steps += 1
         return State(state.step + 1, x, v, memory), work
 

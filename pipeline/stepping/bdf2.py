@@ -45,9 +45,10 @@ class BDF2:
         h = 2 * self.dt / 3
         x_h, v_h = _onward(x, x_before, 1 / 3, self._stage[0]), _onward(v, v_before, 1 / 3, self._stage[1])
         extrapolated = _onward(x, x_before, 1.0, self._stage[2])
-        held = self.body.held_positions((state.step + 1) * self.dt)
+        end = (state.step + 1) * self.dt
+        held, load = self.body.held_positions(end), self.body.load_at(end)
         R, remembered = tracked_rotations(self.treatment, self.body, extrapolated, state)
-        x_new, v_new, work = self.stage_solver.solve(Stage(x_h, v_h, h, extrapolated, x, held, R))
+        x_new, v_new, work = self.stage_solver.solve(Stage(x_h, v_h, h, extrapolated, x, held, load, R))
         work.steps += 1
         return State(state.step + 1, x_new, v_new, {**remembered, **memory}), work
 

@@ -31,6 +31,7 @@ class Guarded:
         self._from_rung = from_rung
         self._least = natural_energy(body)
         self._room = np.empty((2, *body.mesh.points.shape))
+        # the loads that vary have no potential: their work is counted in every step instead
         self._load_at_rest = float(np.vdot(body.load, body.mesh.points))
         # v . M v is largest with lumped masses: in a cell, where M = rho V (1 + delta) / ((d + 1) (d + 2)), that is so
         self._lumped = np.repeat(body.lumped_mass, body.mesh.dimension)
@@ -45,6 +46,7 @@ class Guarded:
         guard = state.memory["guard"] if "guard" in state.memory else np.array([self._energy(state), 0.0, 0.0])
         new, work = self.stepper.step(state)
         supplied = supports_work(self.body, state, new, self.dt, room=self._room)
+        supplied += varying_load_work(self.body, state, new, self.dt)
         if work.rung >= self._from_rung or supplied or guard[2]:
             guard = self._judged(new, guard, supplied, watched=work.rung >= self._from_rung)
         return State(new.step, new.x, new.v, {**new.memory, "guard": guard}), work
@@ -92,6 +94,13 @@ def natural_energy(body: Body) -> float:
     return _NATURAL_STRAIN**2 * (m.lam + 2 * m.mu) * float(body.mesh.rest_volumes.sum())
 
 
+def varying_load_work(body: Body, old: State, new: State, dt: float) -> float:
+    """Return |f . motion| of the loads that vary with time in a step [J]."""
+    if body.varying_load is None:
+        return 0.0
+    return abs(float(np.vdot(body.varying_load(new.step * dt), new.x - old.x)))
+
+
 def supports_work(body: Body, old: State, new: State, dt: float, *, room: Floats | None = None) -> float:
     """Return |reaction . motion| of the held nodes in a step [J], in `room` (2, n, d); 0 at once where none moves."""
     if not body.supports.motions:
@@ -102,5 +111,5 @@ def supports_work(body: Body, old: State, new: State, dt: float, *, room: Floats
         return 0.0
     gained, p = np.empty((2, *new.v.shape)) if room is None else room
     inertia = body.momentum(np.subtract(new.v, old.v, out=gained), p)[held] / dt
-    reaction = inertia - body.force(new.x, out=p)[held] - body.load[held]
+    reaction = inertia - body.force(new.x, out=p)[held] - body.load_at(new.step * dt)[held]
     return float(np.abs((reaction * moved).sum(axis=1)).sum())

@@ -106,7 +106,7 @@ class Converged:
         np.multiply(stage.v_h, stage.h, out=self._y)
         self._y += stage.x_h
         inertia = _norm(self.body.momentum(stage.v_h, self._Ma)) / stage.h
-        self._given = inertia + _norm(self.body.load)
+        self._given = inertia + _norm(stage.load)
 
     def _failure(self, found: _Descent) -> SolveError:
         count = found.work.iterations
@@ -123,7 +123,7 @@ class Converged:
         np.subtract(x, self._y, out=self._away)
         inertia = float(np.vdot(self._away, self.body.momentum(self._away, self._Ma))) / (2 * stage.h**2)
         np.subtract(x, self.body.mesh.points, out=self._away)
-        return inertia, self.body.energy(x), -float(np.vdot(self.body.load, self._away))
+        return inertia, self.body.energy(x), -float(np.vdot(stage.load, self._away))
 
     def descend(self, start: Floats, stage: Stage, limit: int) -> _Descent:
         """Return where at most `limit` iterations from start (n, d) lead; the next descent overwrites its x."""
@@ -155,7 +155,7 @@ class Converged:
         np.subtract(self._x, self._y, out=self._away)
         body.momentum(self._away, self._Ma)
         self._Ma /= stage.h**2
-        r += body.load
+        r += stage.load
         r -= self._Ma
         r[body.supports.nodes] = 0.0
         floor = _ROUNDING / self.limits.tolerance * self._stiff * np.sqrt(r.size)

@@ -29,7 +29,8 @@ from pipeline.linear.work import Work
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """The equation above: x_h, v_h (n, d), h [s], x* = `start` (n, d), and the held nodes' positions `held` (k, d).
+    """The equation above: x_h, v_h (n, d), h [s], x* = `start` (n, d), the held nodes' positions `held` (k, d) and
+    the loads f_ext = `load` (n, d) [N] at the end of the step.
 
     `now` (n, d) are the positions that the step starts from. R (e, d, d) are the rotations at x*, where something else
     than the law has chosen them.
@@ -41,6 +42,7 @@ class Stage:
     start: Floats
     now: Floats
     held: Floats
+    load: Floats
     R: Floats | None = None
 
 
@@ -129,7 +131,7 @@ class Prefactored:
         body, system = self.body, self.system
         b = body.momentum(stage.v_h, system.b)
         f = body.force(stage.x_h, out=system.f)
-        f += body.load
+        f += stage.load
         f *= stage.h
         b += f
         v = stage.v_h.copy()
@@ -170,7 +172,7 @@ class FrozenPasses:
             away = np.subtract(away, self._reached, out=self._away)
             v -= self._reached
         b = body.momentum(away, system.b)
-        system.f += body.load
+        system.f += stage.load
         system.f *= h
         b += system.f
         work += system.solve(held, v)

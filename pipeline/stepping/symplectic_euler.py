@@ -47,7 +47,17 @@ class SymplecticEuler:
         v = body.force(state.x, R)
         x = np.empty_like(state.x)
         where = body.held_positions((state.step + 1) * self.dt)
-        self._kick(v, body.load, self._dt_over_mass, state.x, state.v, self.dt, body.supports.nodes, where, x)
+        self._kick(
+            v,
+            body.load_at(state.step * self.dt),
+            self._dt_over_mass,
+            state.x,
+            state.v,
+            self.dt,
+            body.supports.nodes,
+            where,
+            x,
+        )
         return State(state.step + 1, x, v, memory), Work(steps=1, rotations=int(not body.law.constant_tangent))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.fem.modes import lowest_frequencies
-from pipeline.fem.supports import Motion
+from pipeline.fem.supports import RigidMotion
 from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.run.frames import frames
@@ -125,7 +125,7 @@ def test_held_nodes_stay_and_moved_ones_are_where_their_motion_says_to_the_bit(t
     one = built(tmp_path, variant, supports=supports, method={"stepper": "bdf2", "iterations": iterations})
     X = one.body.mesh.points
     (nodes, said), *others = one.body.supports.motions
-    assert isinstance(said, Motion) and not others
+    assert isinstance(said, RigidMotion) and not others
     for frame in frames(one):
         assert np.array_equal(frame.x[X[:, 1] == 3.0], X[X[:, 1] == 3.0])
         assert np.array_equal(frame.x[nodes], said.positions(X[nodes], frame.time))

@@ -46,7 +46,7 @@ def newton(body: Body, **method: object) -> Converged:
 
 def stage(body: Body, state: State) -> Stage:
     """Backward Euler's stage."""
-    return Stage(state.x, state.v, DT, state.x, state.x, body.mesh.points[body.supports.nodes])
+    return Stage(state.x, state.v, DT, state.x, state.x, body.mesh.points[body.supports.nodes], body.load)
 
 
 def total_energy(body: Body, state: State) -> float:

@@ -38,7 +38,7 @@ def mode_damping(problem: Problem, count: int = 6) -> list[Mode]:
 
 def _measured(problem: Problem, shape: np.ndarray) -> float:
     """Return the damping ratio of four steps that start displaced along a mode."""
-    body = replace(problem.body, load=np.zeros_like(problem.body.load))
+    body = replace(problem.body, load=np.zeros_like(problem.body.load), varying_load=None)
     stepper = STEPPERS[problem.method.stepper](body, problem.dt, problem.method)
     X = body.mesh.points
     small = 1e-3 * body.mesh.size / np.abs(shape).max()

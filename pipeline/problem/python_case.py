@@ -1,0 +1,175 @@
+"""Cases made in Python: meshes and loads from arrays, supports and loads from functions of X and t."""
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Floats
+from pipeline.case import Case
+from pipeline.case.model import validate_case
+from pipeline.case.python_values import PythonValue
+from pipeline.errors import CaseError
+from pipeline.mesh.cleanup import oriented
+from pipeline.mesh.simplex import Mesh
+from pipeline.problem.build import build_mesh
+
+_SAMPLES = 16  # times at which a function is evaluated to tell whether it is the same one as before
+
+
+def make_case(
+    name: str,
+    *,
+    mesh: Mesh | tuple[Any, Any] | Mapping[str, Any],
+    material: Mapping[str, float],
+    schedule: Mapping[str, float],
+    supports: Sequence[Mapping[str, Any]] = (),
+    loads: Mapping[str, Any] | None = None,
+    initial: Mapping[str, Any] | None = None,
+    **sections: Mapping[str, Any],
+) -> Case:
+    """Return a case that was made in Python; it runs, resumes and reports like one from a file.
+
+    Every section has the keys of a case file. In addition `mesh` may be a Mesh or a pair of arrays: points (n, d) [m]
+    and cells (e, d + 1). In a support, `nodes` may be a mask (n,) or a function of X (n, d) that returns one, and
+    `motion` a function of X (k, d) and t [s] that returns displacements (k, d) [m], zero at t = 0. In `loads`,
+    `body_force` [N/m3] and `nodal_forces` [N] may be arrays (n, d) or functions of X or of X and t that return them. In
+    `initial`, `velocity` [m/s] may be an array (n, d) or a function of X. Other `sections` are method, output, movie
+    and variants.
+
+    The result folder describes arrays and functions but does not contain them: to solve such a case again, make it
+    again. A function counts as unchanged if its code and its values at 16 times of the schedule are the same. Raises
+    CaseError if a section is wrong, a shape does not fit or a value is not finite.
+    """
+    path = Path(f"{name} (made in Python)")
+    document: dict[str, Any] = {"name": name, "material": material, "schedule": schedule, **sections}
+    document["mesh"] = _describe_mesh(mesh, path) if not isinstance(mesh, Mapping) else mesh
+    case = validate_case(document, path)
+    given = _Given(
+        path, build_mesh(case).points, case.schedule.dt * case.schedule.steps_per_frame * case.schedule.frames
+    )
+    document["supports"] = [given.describe_support(f"supports.{i}", support) for i, support in enumerate(supports)]
+    document["loads"] = given.describe_loads(loads or {})
+    document["initial"] = given.describe_initial(initial or {})
+    return validate_case(document, path)
+
+
+class _Given:
+    """Turns the arrays and functions of one case into values of its sections."""
+
+    def __init__(self, path: Path, points: Floats, end: float) -> None:
+        self.path, self.points = path, points
+        self.times = np.linspace(0.0, end, _SAMPLES).tolist()
+
+    def describe_support(self, key: str, support: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a support with node numbers in place of a mask or function, and its motion."""
+        out = dict(support)
+        nodes, motion = out.get("nodes"), out.get("motion")
+        if callable(nodes):
+            nodes = nodes(self.points)
+        if isinstance(nodes, np.ndarray):
+            out["nodes"] = self._list_nodes(f"{key}.nodes", nodes)
+        if callable(motion):
+            X = self.points[out["nodes"]] if "nodes" in out else self.points
+            function = self._describe_function(f"{key}.motion", motion, X)
+            offset = np.abs(function.value(X, 0.0)).max(initial=0.0)
+            if offset > 0:
+                raise CaseError(
+                    f"{self.path}: {key}.motion: moves a node by {offset:.3g} m at t = 0; it must start at rest"
+                )
+            out["motion"] = {"displacement": function}
+        return out
+
+    def describe_loads(self, loads: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the loads with fields in place of arrays and functions."""
+        out = dict(loads)
+        force = out.get("body_force")
+        if callable(force) or (isinstance(force, np.ndarray) and force.ndim == 2):
+            out["body_force_field"] = out.pop("body_force")
+        for name in ("body_force_field", "nodal_forces"):
+            if name in out:
+                out[name] = self._describe_field(f"loads.{name}", out[name])
+        return out
+
+    def describe_initial(self, initial: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the initial motion with a field in place of an array or function."""
+        out = dict(initial)
+        velocity = out.get("velocity")
+        if callable(velocity):
+            velocity = velocity(self.points)
+        if isinstance(velocity, np.ndarray) and velocity.ndim == 2:
+            del out["velocity"]
+            values = self._check_values("initial.velocity", velocity, self.points.shape)
+            out["velocity_field"] = PythonValue(f"array {values.shape}, {_digest(values)}", values)
+        return out
+
+    def _describe_field(self, key: str, value: Any) -> PythonValue:
+        if not callable(value):
+            values = self._check_values(key, value, self.points.shape)
+            return PythonValue(f"array {values.shape}, {_digest(values)}", values)
+        return self._describe_function(key, value, self.points)
+
+    def _describe_function(self, key: str, function: Callable[..., Any], X: Floats) -> PythonValue:
+        """Return a function of X and t that returns float64 (k, d), described by its name, code and sampled values."""
+        takes_time = _count_arguments(function) > 1
+
+        def evaluate(X: Floats, time: float) -> Floats:
+            values = function(X, time) if takes_time else function(X)
+            return self._check_values(key, values, X.shape)
+
+        samples = [evaluate(X, time) for time in (self.times if takes_time else self.times[:1])]
+        code = getattr(getattr(function, "__code__", None), "co_code", b"")
+        name = getattr(function, "__name__", type(function).__name__)
+        return PythonValue(f"function {name}, {_digest(np.stack(samples), code)}", evaluate)
+
+    def _check_values(self, key: str, values: Any, shape: tuple[int, ...]) -> Floats:
+        array = np.asarray(values, dtype=np.float64)
+        try:
+            array = np.ascontiguousarray(np.broadcast_to(array, shape))
+        except ValueError:
+            raise CaseError(f"{self.path}: {key}: has shape {array.shape}, not {shape}") from None
+        if not np.isfinite(array).all():
+            raise CaseError(f"{self.path}: {key}: {int((~np.isfinite(array)).sum())} values are not finite")
+        return array
+
+    def _list_nodes(self, key: str, nodes: np.ndarray) -> list[int]:
+        if nodes.dtype == bool:
+            if nodes.shape != self.points.shape[:1]:
+                raise CaseError(f"{self.path}: {key}: the mask has shape {nodes.shape}, not {self.points.shape[:1]}")
+            if not nodes.any():
+                low, high = self.points.min(axis=0).tolist(), self.points.max(axis=0).tolist()
+                raise CaseError(f"{self.path}: {key}: selects no node; the mesh spans {low} to {high}")
+            nodes = np.flatnonzero(nodes)
+        return [int(node) for node in nodes]
+
+
+def _describe_mesh(mesh: Mesh | tuple[Any, Any], path: Path) -> dict[str, Any]:
+    """Return the section of a mesh that is given as an object or as points and cells."""
+    points, cells = (mesh.points, mesh.cells) if isinstance(mesh, Mesh) else mesh
+    points, cells = np.array(points, dtype=np.float64), np.array(cells, dtype=np.int64)
+    if points.ndim != 2 or cells.ndim != 2 or points.shape[1] not in (2, 3) or cells.shape[1] != points.shape[1] + 1:
+        raise CaseError(
+            f"{path}: mesh: points have shape {points.shape} and cells {cells.shape}; "
+            "give (n, 3) with (e, 4) for tetrahedra or (n, 2) with (e, 3) for triangles"
+        )
+    cells, _ = oriented(points, cells)
+    return {"arrays": PythonValue(f"array {points.shape} and {cells.shape}, {_digest(points, cells)}", (points, cells))}
+
+
+def _count_arguments(function: Callable[..., Any]) -> int:
+    """Return how many positional arguments a function takes; 2 if Python cannot tell."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return 2
+    return sum(p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) and p.default is p.empty for p in parameters)
+
+
+def _digest(*parts: Any) -> str:
+    total = sha256()
+    for part in parts:
+        total.update(part if isinstance(part, bytes) else np.ascontiguousarray(part).tobytes())
+    return f"sha256 {total.hexdigest()[:16]}"
