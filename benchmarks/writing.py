@@ -21,8 +21,8 @@ from threadpoolctl import threadpool_limits
 
 from pipeline import build, frames, load_case
 from pipeline.run.frame import Frame, Sink
-from pipeline.run.frames import Recording, Watcher, drive
 from pipeline.run.measures import measure
+from pipeline.run.recording import Recording, Watcher, drive
 from pipeline.sinks.frame_formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.writer_process import WriterProcess

@@ -11,9 +11,10 @@ In five lines:
 
 from pipeline.case import load_case
 from pipeline.errors import PipelineError
-from pipeline.problem.build import build
+from pipeline.problem.problem import build
 from pipeline.problem.python_case import make_case
-from pipeline.run.frames import frames, record
+from pipeline.run.frames import frames
+from pipeline.run.recording import record
 from pipeline.series import read_series
 from pipeline.system.version import VERSION
 

@@ -16,8 +16,8 @@ from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports, rotation_about
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
-from pipeline.problem.build import Problem, build
 from pipeline.problem.methods import LAWS, MASSES, ROTATIONS, STEPPERS
+from pipeline.problem.problem import Problem, build
 from pipeline.stepping.state import State, Stepper
 
 MATERIAL = Material(1e8, 0.33, 1000.0)  # of the thesis' bar

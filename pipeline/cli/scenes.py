@@ -116,15 +116,15 @@ def _print_summary(result: Any) -> None:
 def _check(options: argparse.Namespace) -> int:
     from dataclasses import asdict
 
-    from pipeline.problem.build import build
-    from pipeline.problem.check import check, lines
+    from pipeline.problem.check import check_problem, format_check
+    from pipeline.problem.problem import build
 
     case = loaded_case(options)
     problems = {name: build(case.variant(name)) for name in options.variants or case.variant_names}
-    found = {name: check(problem) for name, problem in problems.items()}
+    found = {name: check_problem(problem) for name, problem in problems.items()}
     names_of: dict[tuple[str, ...], list[str]] = {}
     for name, problem in problems.items():
-        names_of.setdefault(tuple(lines(found[name], problem)), []).append(name)
+        names_of.setdefault(tuple(format_check(found[name], problem)), []).append(name)
     for block, names in names_of.items() if not options.json else ():
         print(", ".join(names), *block, sep="\n  ")
     if options.json:

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from pipeline.problem.build import Problem
+from pipeline.problem.problem import Problem
 from pipeline.run.frame import Frame
-from pipeline.run.frames import RunSummary
+from pipeline.run.recording import RunSummary
 
 
 def say(line: str) -> None:
@@ -27,12 +27,12 @@ class Bars:
 
     def started(self, name: str, problem: Problem) -> None:
         """Show a variant that is set up: matrices are factored and, the first time on a machine, kernels compiled."""
-        total = problem.frames * problem.steps_per_frame
+        total = problem.last_step
         self._show(name, 0, total, "setting up; the first run on a machine compiles")
 
     def solved(self, name: str, problem: Problem, frame: Frame, summary: RunSummary) -> None:
         """Show a frame of a variant."""
-        total = problem.frames * problem.steps_per_frame
+        total = problem.last_step
         wall = summary.wall_seconds
         rate = f"{summary.steps / wall:6.0f} steps/s" if summary.steps else ""
         rung = f"  {_RUNGS[int(frame.known['rung'])]}" if "rung" in frame.known else ""

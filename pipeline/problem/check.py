@@ -10,8 +10,8 @@ from scipy.optimize import brentq
 from pipeline.errors import SolveError
 from pipeline.fem.modes import lowest_frequencies
 from pipeline.mesh.simplex import component_labels, quality
-from pipeline.problem.build import Problem
 from pipeline.problem.methods import MODE_FACTORS
+from pipeline.problem.problem import Problem
 from pipeline.stepping.symplectic_euler import element_limit, true_limit
 
 # eigenvalues of larger bodies take longer than many a run
@@ -47,7 +47,7 @@ class Check:
     explicit_limit: float
 
 
-def check(problem: Problem) -> Check:
+def check_problem(problem: Problem) -> Check:
     """Return the numbers of a problem; omega_1 is NaN where the body is too large to look for it, or rigid."""
     body = problem.body
     mesh = body.mesh
@@ -94,7 +94,7 @@ def _limit(problem: Problem) -> float:
     return true_limit(problem.body)
 
 
-def lines(found: Check, problem: Problem) -> list[str]:
+def format_check(found: Check, problem: Problem) -> list[str]:
     """Return the check as lines to read."""
     kind, unit = ("tetrahedra", "m3") if found.dimension == 3 else ("triangles", "m2")
     rows = [

@@ -27,7 +27,7 @@ from pipeline.stepping import backward_euler, bdf2
 from pipeline.stepping.auto import COROTATIONAL, Auto
 from pipeline.stepping.backward_euler import BackwardEuler
 from pipeline.stepping.bdf2 import BDF2
-from pipeline.stepping.energy_guard import Guarded
+from pipeline.stepping.energy_guard import EnergyGuard
 from pipeline.stepping.inversion import Crossing, Last, Treatment
 from pipeline.stepping.newton import Converged, NewtonLimits
 from pipeline.stepping.stage import FrozenPasses, Prefactored, StageSolver
@@ -69,7 +69,7 @@ def _bdf2(body: Body, dt: float, method: MethodSpec) -> Stepper:
 
 
 def _symplectic_euler(body: Body, dt: float, method: MethodSpec) -> Stepper:
-    return Guarded(body, SymplecticEuler(body, dt, _treatment(body, method)))
+    return EnergyGuard(body, SymplecticEuler(body, dt, _treatment(body, method)))
 
 
 STEPPERS: Mapping[str, Callable[[Body, float, MethodSpec], Stepper]] = {
@@ -157,9 +157,9 @@ def _treatment(body: Body, method: MethodSpec) -> Treatment | None:
 def _guarded(stepper: Stepper, body: Body, method: MethodSpec) -> Stepper:
     """Return the stepper, watched unless its energy is bounded by construction."""
     if method.model == "auto":
-        return Guarded(body, stepper, from_rung=COROTATIONAL)
+        return EnergyGuard(body, stepper, from_rung=COROTATIONAL)
     bounded = body.law.constant_tangent or method.iterations == "converged"
-    return stepper if bounded else Guarded(body, stepper)
+    return stepper if bounded else EnergyGuard(body, stepper)
 
 
 # what `pipeline methods` prints: table, its key in a case file, and a line for every name

@@ -15,7 +15,7 @@ from pipeline.case.python_values import PythonValue
 from pipeline.errors import CaseError
 from pipeline.mesh.cleanup import oriented
 from pipeline.mesh.simplex import Mesh
-from pipeline.problem.build import build_mesh
+from pipeline.problem.problem import build_mesh
 
 _SAMPLES = 16  # times at which a function is evaluated to tell whether it is the same one as before
 

@@ -18,8 +18,8 @@ from pipeline.errors import SeriesError
 from pipeline.formats.atomic import whole_file
 from pipeline.formats.netcdf import NETCDF_LOCK, open_dataset
 from pipeline.run.frame import Frame, Values
-from pipeline.run.frames import record
 from pipeline.run.measures import AXES, QUANTILES, VARIABLES, attributes
+from pipeline.run.recording import record
 from pipeline.series import Series, read_series
 from pipeline.sinks.netcdf import NetcdfSink
 

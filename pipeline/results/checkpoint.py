@@ -21,7 +21,7 @@ import numpy as np
 from pipeline.errors import OutputError
 from pipeline.formats.atomic import write_whole
 from pipeline.linear.work import Work
-from pipeline.run.frames import RunSummary
+from pipeline.run.recording import RunSummary
 from pipeline.stepping.state import State
 
 _KEPT = 2

@@ -9,7 +9,7 @@ from pipeline.analysis.statistics import joined
 from pipeline.case import Case, load_case
 from pipeline.errors import OutputError, join_names
 from pipeline.formats.netcdf import read_dataset, write_dataset
-from pipeline.problem.build import settled
+from pipeline.problem.problem import resolve_mass
 from pipeline.results.variant import UNFINISHED, determining, read_run
 from pipeline.series import read_series
 from pipeline.sinks.frame_formats import FORMATS
@@ -115,7 +115,7 @@ def _is_of(run: dict[str, Any], case: Case, folder: Path) -> bool:
     A mesh file is named relative to its case file, so from elsewhere by another text: the variant's own case.toml
     tells which file it is.
     """
-    wanted = determining(settled(case.variant(folder.name)))
+    wanted = determining(resolve_mass(case.variant(folder.name)))
     if run["case"] == wanted:
         return True
     kept = folder / "case.toml"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pipeline.case.specs import OutputSpec
 from pipeline.errors import OutputError
-from pipeline.problem.build import Problem
+from pipeline.problem.problem import Problem
 from pipeline.run.measures import QUANTILES
 
 # Fitted to eight scenes of 64 to 10 000 cells: 0.88 to 1.68 of what they took. Numbers of a motion hardly compress:
@@ -23,7 +23,7 @@ _MARGIN = 1.1
 def needed_bytes(problem: Problem, output: OutputSpec) -> float:
     """Return about what the frames and statistics of a problem take, and its share of the comparison."""
     mesh = problem.body.mesh
-    (n, d), e, count = mesh.points.shape, len(mesh.cells), problem.frames + 1
+    (n, d), e, count = mesh.points.shape, len(mesh.cells), problem.frame_count
     # position, displacement and velocity of a node; volume, its ratio and the angle of a cell
     numbers = 3 * (d * n + e) * _WORD[output.precision] * _ENCODED[output.format]
     frame = _FRAME_HEAD + numbers + _FRAME_CELL * e
@@ -42,7 +42,7 @@ def check_room(folder: Path, problems: Mapping[str, tuple[Problem, OutputSpec]])
     free = shutil.disk_usage(there).free
     if needed * _MARGIN <= free:
         return
-    frames = sum(problem.frames + 1 for problem, _ in problems.values())
+    frames = sum(problem.frame_count for problem, _ in problems.values())
     raise OutputError(
         f"{folder}: {frames} frames of {', '.join(problems)} need about {_shown(needed)}, {_shown(free)} are free "
         "there; take fewer schedule.frames, fewer variants (--variant), or another disk (--out)"

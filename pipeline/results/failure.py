@@ -12,8 +12,8 @@ from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
 from pipeline.formats.atomic import write_whole
 from pipeline.mesh.simplex import quality
-from pipeline.problem.build import Problem
 from pipeline.problem.methods import STEP_LIMITS
+from pipeline.problem.problem import Problem
 from pipeline.run.frame import Frame
 from pipeline.run.measures import measure, spatial
 from pipeline.series.dataset_writer import encoded

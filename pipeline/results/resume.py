@@ -20,7 +20,7 @@ from pipeline.formats.atomic import whole_file
 from pipeline.formats.netcdf import NETCDF_LOCK
 from pipeline.formats.vtk_readers import Grid
 from pipeline.mesh.simplex import Mesh
-from pipeline.problem.build import Problem
+from pipeline.problem.problem import Problem
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.run.measures import VARIABLES, measure
 from pipeline.series.listing import FrameListing, Member

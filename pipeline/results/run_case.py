@@ -7,7 +7,7 @@ from pathlib import Path
 from pipeline.case import Case, load_case
 from pipeline.errors import CaseError, SolveError
 from pipeline.formats.atomic import write_whole
-from pipeline.problem.build import Problem, build, settled
+from pipeline.problem.problem import Problem, build, resolve_mass
 from pipeline.results.comparison import DRAWN, compare
 from pipeline.results.disk import check_room
 from pipeline.results.resume import Interrupted, folder_lock, interruptible, mesh_digest
@@ -60,7 +60,7 @@ def run_campaign(
     resume is given, or where another run writes there; OutputError where files cannot be written; Interrupted after
     the step at which SIGINT or SIGTERM came.
     """
-    resolved = {name: settled(case.variant(name)) for name in variants or case.variant_names}
+    resolved = {name: resolve_mass(case.variant(name)) for name in variants or case.variant_names}
     folder = Path(out) / case.name
     problems = {name: build(one) for name, one in resolved.items()}
     for one in resolved.values():

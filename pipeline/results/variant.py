@@ -16,8 +16,8 @@ from pipeline.case import Case
 from pipeline.errors import OutputError, SolveError, shorten
 from pipeline.formats.atomic import write_whole
 from pipeline.linear.work import Work
-from pipeline.problem.build import Problem
 from pipeline.problem.methods import linear_solvers
+from pipeline.problem.problem import Problem
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.results.failure import FILE as FAILURE
 from pipeline.results.failure import examined
@@ -31,7 +31,8 @@ from pipeline.results.resume import (
     next_frame,
 )
 from pipeline.run.frame import Frame, Sink
-from pipeline.run.frames import Recording, RunSummary, Watcher, drive, frames
+from pipeline.run.frames import frames
+from pipeline.run.recording import Recording, RunSummary, Watcher, drive
 from pipeline.sinks.frame_formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.writer_process import WORTH_A_PROCESS, WriterProcess
@@ -150,7 +151,7 @@ class VariantRun:
         written = next_frame(began, self.problem) if began else 0
         output, times = self.case.output, frame_times(written, self.problem)
         sinks: list[Sink] = [
-            FORMATS[output.format].sink(self.folder, times, output.precision, self.problem.frames + 1),
+            FORMATS[output.format].sink(self.folder, times, output.precision, self.problem.frame_count),
             NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
         ]
         beside = len(self.problem.body.mesh.cells) >= WORTH_A_PROCESS

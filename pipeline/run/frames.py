@@ -1,9 +1,7 @@
-"""A run is an iterator of frames; recording is what drives it."""
+"""A run is an iterator of frames, which recording.py drives."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -12,39 +10,15 @@ from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.rotation import axial
 from pipeline.linear.work import Work
-from pipeline.problem.build import Problem
-from pipeline.run.frame import Frame, Sink, Values
-from pipeline.run.measures import STEPS, measure, spatial
+from pipeline.problem.problem import Problem
+from pipeline.run.frame import Frame
+from pipeline.run.measures import STEPS, spatial
 from pipeline.stepping.state import State, Stepper
 
 # [m, m/s]: volumes and energies of what is larger would overflow
 _BEYOND = 1e75
 
 AfterStep = Callable[[State, Work], None]
-
-
-@dataclass(frozen=True)
-class RunSummary:
-    """What a recording was: frames, work, seconds of set-up, solving and writing apart, worst volume ratio.
-
-    `writing_seconds` is measuring and writing; `wall_seconds` is all from the first frame on, without the set-up.
-    """
-
-    frames: int
-    steps: int
-    time: float
-    work: Work
-    setup_seconds: float
-    writing_seconds: float
-    wall_seconds: float
-    worst_volume_ratio: float
-    worst_cell: int
-    worst_time: float
-
-    @property
-    def seconds_per_step(self) -> float:
-        """Return the solver's seconds a step; NaN before the first."""
-        return self.work.seconds / self.work.steps if self.work.steps else float("nan")
 
 
 def frames(
@@ -63,7 +37,7 @@ def frames(
     if state.step % problem.steps_per_frame == 0:
         yield _frame(problem, state, work)
         work = Work()
-    while state.step < problem.frames * problem.steps_per_frame:
+    while state.step < problem.last_step:
         state, done = _timed_step(stepper, state)
         if problem.method.model == "auto":
             done.history = ((done.rung, done.solves, done.indicator),)
@@ -129,110 +103,3 @@ def dynamics(body: Body, state: State, time: float) -> dict[str, Floats]:
         "linear_momentum": spatial(p.sum(axis=0)),
         "angular_momentum": turning,
     }
-
-
-OnFrame = Callable[[Frame, "RunSummary"], None]
-
-
-class Recording:
-    """Frames measured and written into sinks, one at a time; `summary` is what the run was so far.
-
-    `on_frame` is called after each frame with the frame and the summary. `before` is the summary of the
-    frames that a resumed run has written already; the set-up of the first start stays the one told.
-    """
-
-    def __init__(
-        self, sinks: Sequence[Sink], *, on_frame: OnFrame | None = None, before: RunSummary | None = None
-    ) -> None:
-        self.summary = before or RunSummary(0, 0, 0.0, Work(), 0.0, 0.0, 0.0, 1.0, 0, 0.0)
-        self._sinks, self._on_frame = tuple(sinks), on_frame
-        self._earlier, self._began = self.summary.wall_seconds, 0.0
-
-    def take(self, frame: Frame) -> None:
-        """Measure and write one frame."""
-        began = time.perf_counter()
-        self._began = self._began or began
-        measured = measure(frame)
-        for sink in self._sinks:
-            sink.write(frame, measured)
-        self.summary = self._timed(_continued(self.summary, frame, measured), since=began)
-        if self._on_frame is not None:
-            self._on_frame(frame, self.summary)
-
-    def drain(self) -> None:
-        """Return at once: every frame taken is written."""
-
-    def close(self) -> None:
-        """Close every sink; the first failure is raised after the others had their turn."""
-        began, failures = time.perf_counter(), []
-        for sink in self._sinks:
-            try:
-                sink.close()
-            except Exception as error:
-                failures.append(error)
-        if self._began:
-            self.summary = self._timed(self.summary, since=began)
-        if failures:
-            raise failures[0]
-
-    def _timed(self, summary: RunSummary, *, since: float) -> RunSummary:
-        now = time.perf_counter()
-        writing, wall = summary.writing_seconds + now - since, self._earlier + now - self._began
-        return replace(summary, writing_seconds=writing, wall_seconds=wall)
-
-
-class Watcher(Protocol):
-    """Takes frames in order: a Recording, or what stands before one."""
-
-    def take(self, frame: Frame) -> None:
-        """Take one frame; raises what taking it, or an earlier one, failed with."""
-        ...
-
-    def drain(self) -> None:
-        """Return when every frame taken is written; raises what one of them failed with."""
-        ...
-
-    def close(self) -> None:
-        """End with all frames taken."""
-        ...
-
-
-def drive(source: Iterator[Frame], watcher: Watcher) -> None:
-    """Hand frames to a watcher, which is closed whatever happens."""
-    try:
-        for frame in source:
-            watcher.take(frame)
-    finally:
-        watcher.close()
-
-
-def record(
-    source: Iterator[Frame],
-    sinks: Sequence[Sink],
-    *,
-    on_frame: OnFrame | None = None,
-    before: RunSummary | None = None,
-) -> RunSummary:
-    """Drive frames into sinks, each before the next is solved, and return what the run was; options as of Recording."""
-    recording = Recording(sinks, on_frame=on_frame, before=before)
-    drive(source, recording)
-    return recording.summary
-
-
-def _continued(summary: RunSummary, frame: Frame, measured: Values) -> RunSummary:
-    ratio = measured["volume_ratio"]
-    cell = int(np.abs(ratio - 1).argmax())
-    worse = abs(ratio[cell] - 1) > abs(summary.worst_volume_ratio - 1)
-    work = frame.work or Work()
-    setup = work.seconds if not summary.frames else summary.setup_seconds
-    return replace(
-        summary,
-        frames=summary.frames + 1,
-        steps=frame.step or 0,
-        time=frame.time,
-        work=replace(summary.work + work, history=()) if summary.frames else Work(),
-        setup_seconds=setup,
-        worst_volume_ratio=float(ratio[cell]) if worse else summary.worst_volume_ratio,
-        worst_cell=cell if worse else summary.worst_cell,
-        worst_time=frame.time if worse else summary.worst_time,
-    )

@@ -21,7 +21,7 @@ from typing import IO, Any
 from pipeline.errors import OutputError, shorten
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame, Sink
-from pipeline.run.frames import OnFrame, Recording, RunSummary
+from pipeline.run.recording import OnFrame, Recording, RunSummary
 
 # cells: below, a frame costs the solver more to hand over than to write (measured from 192 on)
 WORTH_A_PROCESS = 1000

@@ -19,7 +19,7 @@ _STRIKES = 3
 _NATURAL_STRAIN = 1e-5
 
 
-class Guarded:
+class EnergyGuard:
     """A stepper that watches another; `guard` in memory is (energy at the start, |work of supports|, strikes)."""
 
     def __init__(self, body: Body, stepper: Stepper, from_rung: int = 0) -> None:

@@ -125,7 +125,7 @@ def test_the_bound_of_the_frequencies_is_one(cases_folder) -> None:
 
 def test_pardiso_without_mkl_is_superlu_and_says_so(cases_folder, monkeypatch) -> None:
     expected = path(cases_folder, "superlu", "polar", **{"schedule.frames": 3})
-    for module in (pardiso, linear_solve, methods, import_module("pipeline.problem.build")):
+    for module in (pardiso, linear_solve, methods, import_module("pipeline.problem.problem")):
         monkeypatch.setattr(module, "library", lambda: None)
     found = path(cases_folder, "pardiso", "polar", **{"schedule.frames": 3})
     assert np.array_equal(found[-1], expected[-1])

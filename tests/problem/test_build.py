@@ -180,7 +180,7 @@ def test_a_rotation_asked_for_under_the_linear_law_is_noted(problem):
 
 def test_schedule_and_names_come_through(problem):
     one = problem(schedule={"dt": 0.01, "frame_interval": 0.03, "frames": 7})
-    assert (one.name, one.dt, one.steps_per_frame, one.frames) == ("beam/polar", 0.01, 3, 7)
+    assert (one.name, one.dt, one.steps_per_frame, one.last_frame) == ("beam/polar", 0.01, 3, 7)
     assert [(f.index, f.step) for f in frames(one)] == [(i, 3 * i) for i in range(8)]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.case import load_case
 from pipeline.cli import main
-from pipeline.problem.build import build
+from pipeline.problem.problem import build
 from pipeline.results import disk
 from pipeline.results.run_case import run_campaign
 from tests.bodies import PLANAR, without_figures, write_case

@@ -139,7 +139,7 @@ def test_nothing_is_examined_where_nothing_began(tmp_path, monkeypatch):
 
     monkeypatch.setattr(BackwardEuler, "step", failing)
     from pipeline.errors import SolveError
-    from pipeline.problem.build import Problem
+    from pipeline.problem.problem import Problem
 
     def no_factor(self):
         raise SolveError("no factor")

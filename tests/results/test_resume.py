@@ -24,7 +24,7 @@ from pipeline.results import variant as variant_run
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder, decoded, encoded
 from pipeline.results.resume import LOCK, Interrupted, folder_lock
 from pipeline.results.run_case import CampaignResult, run_campaign
-from pipeline.run.frames import RunSummary
+from pipeline.run.recording import RunSummary
 from pipeline.series import read_series
 from pipeline.stepping.bdf2 import BDF2
 from pipeline.stepping.state import State

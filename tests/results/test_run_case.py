@@ -11,7 +11,7 @@ import xarray
 
 from pipeline.case import load_case
 from pipeline.errors import CaseError, OutputError, SolveError
-from pipeline.problem.build import Problem
+from pipeline.problem.problem import Problem
 from pipeline.results import comparison
 from pipeline.results import run_case as campaign
 from pipeline.results import variant as variant_run

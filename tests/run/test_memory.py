@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from pipeline import build, frames, load_case
-from pipeline.run.frames import Recording, drive
+from pipeline.run.recording import Recording, drive
 from pipeline.sinks.frame_formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
 from tests.bodies import write_case

@@ -22,7 +22,7 @@ from pipeline.results import variant as variant_run
 from pipeline.results.checkpoint import CheckpointFolder
 from pipeline.results.resume import folder_lock
 from pipeline.run.frame import Frame
-from pipeline.run.frames import Recording, drive
+from pipeline.run.recording import Recording, drive
 from pipeline.sinks.frame_formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.writer_process import _PIPE, WORTH_A_PROCESS, WriterProcess

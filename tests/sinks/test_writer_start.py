@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import OutputError
-from pipeline.run.frames import drive
+from pipeline.run.recording import drive
 from pipeline.sinks.writer_process import WriterProcess
 from tests.sinks.test_writer_process import PATIENCE, ROOT, Notes, Slow, some_frames
 

@@ -21,7 +21,7 @@ from pipeline.results.run_case import run_campaign
 from pipeline.run.frame import Frame
 from pipeline.series import read_series
 from pipeline.series.xarray_plugin import make_lazy_dataset
-from pipeline.stepping.energy_guard import Guarded
+from pipeline.stepping.energy_guard import EnergyGuard
 from tests.bodies import solid
 
 CASES = Path(__file__).resolve().parents[2] / "cases"
@@ -144,7 +144,7 @@ def test_auto_needs_an_implicit_stepper() -> None:
 
 def test_auto_is_watched_whatever_iterations_the_case_had() -> None:
     case = load_case(CASES / "twisted_bar.toml", overrides={"method.model": "auto"}).variant("converged")
-    assert isinstance(build(case).prepare(), Guarded)
+    assert isinstance(build(case).prepare(), EnergyGuard)
 
 
 def test_what_every_step_needed_is_recorded_plotted_and_made_again_from_frames(tmp_path) -> None:

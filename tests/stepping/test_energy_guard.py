@@ -13,9 +13,9 @@ from pipeline.fem.material import Material
 from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box
 from pipeline.mesh.simplex import Mesh
-from pipeline.problem.build import Problem
+from pipeline.problem.problem import Problem
 from pipeline.run.frames import frames
-from pipeline.stepping.energy_guard import Guarded
+from pipeline.stepping.energy_guard import EnergyGuard
 from pipeline.stepping.state import State
 from pipeline.stepping.symplectic_euler import SymplecticEuler, true_limit
 from tests.bodies import METHODS, PLANAR, built, clamped_bar, solid, spin, stepper
@@ -33,8 +33,8 @@ def spinning(mesh: Mesh, axis: int) -> tuple[Body, State]:
 def run(one: Problem) -> State:
     """The end of a problem's schedule, without its frames."""
     prepared, state = one.prepare(), one.start
-    assert isinstance(prepared, Guarded) or one.method.law == "linear" or one.method.iterations == "converged"
-    for _ in range(one.frames * one.steps_per_frame):
+    assert isinstance(prepared, EnergyGuard) or one.method.law == "linear" or one.method.iterations == "converged"
+    for _ in range(one.last_step):
         state, _ = prepared.step(state)
     return state
 
@@ -83,7 +83,7 @@ def test_the_error_names_step_and_time_and_the_frames_before_it_stand(tmp_path):
 @pytest.mark.parametrize("d", [2, 3])
 def test_an_explicit_step_above_the_limit_is_stopped(d, tmp_path):
     one = built(tmp_path, method={"mass": "lumped"}, **(PLANAR if d == 2 else {}))
-    prepared = Guarded(one.body, SymplecticEuler(one.body, 1.05 * true_limit(one.body)))
+    prepared = EnergyGuard(one.body, SymplecticEuler(one.body, 1.05 * true_limit(one.body)))
     state = one.start
     with pytest.raises(SolveError, match="energy has no source"):
         for _ in range(200):
@@ -110,7 +110,7 @@ def guarded(body: Body, start: float, *speeds: float) -> State:
         State(i, X, np.where(body.free_mask[:, None], speed * np.eye(3)[0], 0.0), {"kept": np.ones(1)})
         for i, speed in enumerate((start, *speeds))
     )
-    prepared = Guarded(body, Stopping(*others))
+    prepared = EnergyGuard(body, Stopping(*others))
     for _ in speeds:
         first, _ = prepared.step(first)
     return first
@@ -207,11 +207,11 @@ def test_noise_on_a_body_at_rest_is_not_stopped(name, size):
 def test_the_methods_whose_energy_is_bounded_are_not_guarded(name):
     for method, guarded in (("linear", False), ("polar", True), ("gram_schmidt", True)):
         body = clamped_bar(**METHODS[method])
-        assert isinstance(stepper(body, 0.07, stepper=name), Guarded) == guarded
+        assert isinstance(stepper(body, 0.07, stepper=name), EnergyGuard) == guarded
     body = clamped_bar(**METHODS["polar"])
-    assert not isinstance(stepper(body, 0.07, stepper=name, iterations="converged"), Guarded)
-    assert isinstance(stepper(body, 0.07, stepper=name, iterations=3), Guarded)
-    assert isinstance(stepper(body, 1e-3, stepper="symplectic_euler"), Guarded)
+    assert not isinstance(stepper(body, 0.07, stepper=name, iterations="converged"), EnergyGuard)
+    assert isinstance(stepper(body, 0.07, stepper=name, iterations=3), EnergyGuard)
+    assert isinstance(stepper(body, 1e-3, stepper="symplectic_euler"), EnergyGuard)
 
 
 def test_a_calm_run_pays_for_one_elastic_energy_at_its_start(monkeypatch):

@@ -13,7 +13,7 @@ from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.errors import CaseError, SolveError
 from pipeline.mesh.shapes import box, rectangle
-from pipeline.problem.build import build, build_mesh
+from pipeline.problem.problem import build, build_mesh
 from pipeline.studies import sweep as sweep_module
 from pipeline.studies.tradeoff.apply_choice import apply
 from pipeline.studies.tradeoff.deviation import FirstMode, deviation, distances, error, first_mode

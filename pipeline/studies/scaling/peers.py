@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.errors import MeshError, SolveError
-from pipeline.problem.build import Problem
+from pipeline.problem.problem import Problem
 from pipeline.studies.scaling.step_cost import median_ms, peak_megabytes, point_problem
 
 INSTALL = "pip install 'corotational-pipeline[bench]', in an environment of its own"

@@ -16,8 +16,8 @@ import numpy as np
 from pipeline.case import load_case
 from pipeline.linear.choice import factor_bytes
 from pipeline.linear.work import Work
-from pipeline.problem.build import Problem, build
 from pipeline.problem.methods import linear_solvers
+from pipeline.problem.problem import Problem, build
 from pipeline.stepping.state import Stepper
 from pipeline.stepping.symplectic_euler import element_limit
 from pipeline.studies.scaling.plain_scipy import PlainStep

@@ -13,7 +13,7 @@ from pipeline.case import Case
 from pipeline.errors import CaseError, quote_value
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.netcdf import write_dataset
-from pipeline.problem.build import build, build_mesh
+from pipeline.problem.problem import build, build_mesh
 from pipeline.studies.stability.slices import METHODS, SLICES, Scene, trial_settings
 from pipeline.studies.stability.trial import NOTHING, OUTCOMES, REFUSED, SURVIVES, UNEXPECTED, trial
 from pipeline.studies.sweep import Point, sweep

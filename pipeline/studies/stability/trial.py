@@ -12,7 +12,7 @@ from pipeline.arrays import Floats
 from pipeline.case import Case, load_case
 from pipeline.errors import CaseError, MeshError, SolveError
 from pipeline.mesh.simplex import Mesh, signed_volumes
-from pipeline.problem.build import Problem, build
+from pipeline.problem.problem import Problem, build
 from pipeline.run.frame import Frame
 from pipeline.run.frames import frames
 from pipeline.stepping.energy_guard import natural_energy, supports_work

@@ -10,7 +10,7 @@ from pathlib import Path
 from pipeline.case import load_case
 from pipeline.errors import SolveError
 from pipeline.formats.atomic import write_whole
-from pipeline.problem.build import build
+from pipeline.problem.problem import build
 from pipeline.results.run_case import run_campaign
 from pipeline.results.variant import Notify
 from pipeline.studies.thesis.our_runs import Scene, scene_of

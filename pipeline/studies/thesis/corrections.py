@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.modes import lowest_frequencies
 from pipeline.mesh.simplex import Mesh
-from pipeline.problem.build import Problem
+from pipeline.problem.problem import Problem
 from pipeline.studies.thesis.formulas_as_printed import force_6_12, step_4_48, stiffness_4_30, stiffness_4_32
 from pipeline.studies.thesis.published import CORRECTIONS, Correction
 

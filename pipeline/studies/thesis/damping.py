@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.fem.modes import lowest_frequencies
-from pipeline.problem.build import Problem
 from pipeline.problem.methods import STEPPERS
+from pipeline.problem.problem import Problem
 from pipeline.stepping.backward_euler import damping_ratio
 from pipeline.stepping.state import State
 

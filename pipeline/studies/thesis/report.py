@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.errors import OutputError
-from pipeline.problem.build import Problem
+from pipeline.problem.problem import Problem
 from pipeline.series import Series, read_series
 from pipeline.studies.thesis import verbal_claims as statements
 from pipeline.studies.thesis.corrections import corrections_run

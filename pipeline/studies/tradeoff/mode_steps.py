@@ -14,8 +14,8 @@ import numpy as np
 
 from pipeline.errors import SolveError
 from pipeline.fem.modes import lowest_frequencies
-from pipeline.problem.build import Problem
 from pipeline.problem.methods import STEPPERS
+from pipeline.problem.problem import Problem
 from pipeline.stepping.state import State
 from pipeline.studies.tradeoff.motion import built
 

@@ -16,7 +16,7 @@ from pipeline.case import Case
 from pipeline.errors import SolveError
 from pipeline.linear.work import Work
 from pipeline.mesh.simplex import Mesh, signed_volumes
-from pipeline.problem.build import Problem, build
+from pipeline.problem.problem import Problem, build
 from pipeline.results.variant import determining
 from pipeline.run.frame import Frame
 from pipeline.run.frames import frames

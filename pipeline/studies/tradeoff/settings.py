@@ -16,8 +16,8 @@ import numpy as np
 from pipeline.arrays import Ints
 from pipeline.case import Case
 from pipeline.case.specs import ONLY_VARIANT, MeshSpec
-from pipeline.problem.build import build, settled
 from pipeline.problem.methods import STEP_LIMITS
+from pipeline.problem.problem import build, resolve_mass
 
 IMPLICIT = ("backward_euler", "bdf2")
 CONVERGED = ("corotational", "polar", "converged")
@@ -207,7 +207,7 @@ def _explicit_step(plan: Plan, refinement: int) -> float:
 
 def point_case(plan: Plan, setting: Setting) -> Case:
     """Return the case of one setting, with what its stepper decides written out."""
-    return settled(plan.case.model_copy(update={"variants": {"point": overrides(plan, setting)}}).variant("point"))
+    return resolve_mass(plan.case.model_copy(update={"variants": {"point": overrides(plan, setting)}}).variant("point"))
 
 
 def overrides(plan: Plan, setting: Setting) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.errors import SolveError
 from pipeline.linear.work import Work
 from pipeline.mesh.simplex import Mesh
-from pipeline.problem.build import build, build_mesh
+from pipeline.problem.problem import build, build_mesh
 from pipeline.studies.tradeoff.deviation import DISTANCES, MEASURES, FirstMode, deviation, distances, error, first_mode
 from pipeline.studies.tradeoff.motion import COUNTS, Motion, read_motion
 from pipeline.studies.tradeoff.settings import Plan, Setting, nested, point_case

@@ -28,8 +28,18 @@ class Problem:
     start: State
     dt: float
     steps_per_frame: int
-    frames: int
+    last_frame: int
     notes: tuple[str, ...] = ()
+
+    @property
+    def frame_count(self) -> int:
+        """Return the number of frames of the whole run; frame 0 is the start."""
+        return self.last_frame + 1
+
+    @property
+    def last_step(self) -> int:
+        """Return the number of steps of the whole run."""
+        return self.last_frame * self.steps_per_frame
 
     def prepare(self) -> Stepper:
         """Return the stepper, ready to step: matrices factored, limits checked."""
@@ -47,7 +57,7 @@ def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
         case = case.variant(case.variant_names[0])
     elif case.variant_name is None:
         raise case.make_error("variants", f"choose one with case.variant(name): {join_names(case.variant_names)}")
-    case = settled(case)
+    case = resolve_mass(case)
     _check_method(case)
     mesh_notes: list[str] = []
     mesh = build_mesh(case, note=mesh_notes.append) if mesh is None else mesh
@@ -82,7 +92,7 @@ def build_mesh(case: Case, *, note: Callable[[str], object] | None = None) -> Me
         raise case.make_error("mesh", str(error)) from error
 
 
-def settled(case: Case) -> Case:
+def resolve_mass(case: Case) -> Case:
     """Return a resolved case with what its stepper decides written out: symplectic Euler takes lumped mass."""
     method = case.method
     if method.stepper != "symplectic_euler" or method.mass == "lumped":
