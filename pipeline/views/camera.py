@@ -12,16 +12,17 @@ from pipeline.views.track import Track, list_drawn_points
 # 23 degrees aside and 17 degrees up. The movie, the page and ParaView's script share these numbers.
 ASIDE, RAISED = -0.42, 0.34  # components along the length and along z, that along the view being 1
 LONG = 1.5  # bodies along x only are seen from -y; nearly square ones, like those along y, from +x
+MARGIN = 0.03  # of a panel, at each side
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Where the camera stands, and the rectangle [left, right] x [bottom, top] of its plane that is in use [m]."""
+    """The directions of the camera, and the bounds of all drawn points along them [m]."""
 
-    toward: Floats  # unit vectors: to the viewer, to the right, up
+    toward: Floats  # unit vectors: toward the viewer, to the right, up
     right: Floats
     up: Floats
-    low: Floats  # of the drawn points along right, up, toward (3,)
+    low: Floats  # bounds along right, up, toward (3,)
     high: Floats
 
     @property
@@ -30,14 +31,14 @@ class Camera:
         middle = (self.low + self.high) / 2
         return np.asarray(middle @ np.stack([self.right, self.up, self.toward]))
 
-    def pixel_size(self, width: float, height: float) -> float:
-        """Return meters a pixel such that everything fits into a panel with a margin of 3 %."""
+    def fit_pixel(self, width: float, height: float) -> float:
+        """Return the size of a pixel [m] at which everything fits into a panel with a margin all around."""
         across, upward = np.maximum(self.high - self.low, 1e-12)[:2]
-        return float(max(across / width, upward / height) / 0.94)
+        return float(max(across / width, upward / height) / (1 - 2 * MARGIN))
 
 
 def fit_camera(tracks: Sequence[Track]) -> Camera:
-    """Return the camera for bodies: z up, the longer of x and y to the side; in the plane y up, seen along -z."""
+    """Return the camera for bodies: z up, the longer of x and y across; in the plane y up, seen along -z."""
     points = np.concatenate([list_drawn_points(track) for track in tracks])
     if all(track.dimension == 2 for track in tracks):
         toward, upward = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
@@ -49,5 +50,5 @@ def fit_camera(tracks: Sequence[Track]) -> Camera:
     right = np.cross(upward, toward)
     right /= np.linalg.norm(right)
     up = np.cross(toward, right)
-    seen = points @ np.stack([right, up, toward]).T
-    return Camera(toward, right, up, seen.min(axis=0), seen.max(axis=0))
+    projected = points @ np.stack([right, up, toward]).T
+    return Camera(toward, right, up, projected.min(axis=0), projected.max(axis=0))

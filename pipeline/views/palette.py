@@ -10,11 +10,14 @@ BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
 SKY, PURPLE, ORANGE = "#56B4E9", "#CC79A7", "#E69F00"
 INK, SOFT, FAINT, GRID = "#1b1e28", "#626875", "#b0b5bf", "#e3e5ea"  # text, secondary text, marks, grid lines
 SLATE = "#7d8597"  # a neutral series beside the hues: another program, the mesh
+FILM_INK, FILM_RULE = "#181b26", "#dee1e7"  # text and lines between the panels of a film
+CURVE_AHEAD, FAILED = "#c6cbd5", "#be122c"  # of a film: the curve after the present, a series that ended early
 
 BANDS = ((0.0, 1.0, 0.14), (0.05, 0.95, 0.22), (0.25, 0.75, 0.34))  # lower and upper quantile, opacity
 ENERGIES = {"kinetic": (BLUE, "-"), "elastic": (VERMILION, "--"), "potential": (GREEN, "-.")}  # color, dashes
 
 INVERTED = (214, 0, 196)  # magenta: far from every color of the map
+OUTLINE = (143, 148, 161)  # of the rest shape
 DIMMED = 0.68  # share of white in a panel whose series ended early
 
 

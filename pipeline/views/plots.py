@@ -29,7 +29,7 @@ def write_volume_figure(dataset: "xarray.Dataset", path: Path, *, title: str) ->
     replace the lines. Frames with NaN, as after a failure, are left out. Raises OutputError if the file
     cannot be written.
     """
-    variants, time = _names(dataset), dataset["time"].values
+    variants, time = _list_variants(dataset), dataset["time"].values
     ratio = dataset["volume_ratio"].transpose("variant", "time", "cell").values
     with _open_panels(path, len(variants), title) as figure:
         panels = _make_panels(figure, variants)
@@ -55,7 +55,7 @@ def write_energy_figure(dataset: "xarray.Dataset", path: Path, *, title: str) ->
     present = [name for name in ENERGIES if f"{name}_energy" in dataset]
     if not present:
         raise OutputError(f"{path}: no energies to draw: the dataset has none of {', '.join(ENERGIES)}_energy")
-    variants, time = _names(dataset), dataset["time"].values
+    variants, time = _list_variants(dataset), dataset["time"].values
     energies = {name: dataset[f"{name}_energy"].transpose("variant", "time").values for name in present}
     scale, prefix = _choose_prefix(max(float(np.nan_to_num(np.abs(values)).max()) for values in energies.values()))
     with _open_panels(path, len(variants), title) as figure:
@@ -68,7 +68,7 @@ def write_energy_figure(dataset: "xarray.Dataset", path: Path, *, title: str) ->
                 axes.plot(time, values, dashes, color=color, linewidth=1.5, label=name)
             if len(parts) > 1:
                 axes.plot(time, sum(parts.values()), color=INK, linewidth=2.0, label="total")
-        panels[0].set_xlim(*_time_limits(time))
+        panels[0].set_xlim(*_choose_time_limits(time))
         unit = str(dataset[f"{present[0]}_energy"].attrs.get("units", "J"))
         _label_outer(panels, f"energy [{prefix}{unit}]")
         _add_legend(figure, panels[0], columns=4)
@@ -80,7 +80,7 @@ def write_distance_figure(dataset: "xarray.Dataset", path: Path, *, title: str) 
     Takes node_distance_worst and node_distance_rms (variant, time). Raises OutputError if the file cannot
     be written.
     """
-    variants, time = _names(dataset), dataset["time"].values
+    variants, time = _list_variants(dataset), dataset["time"].values
     lines = (("worst node", "node_distance_worst", VERMILION, "-"), ("RMS of all", "node_distance_rms", BLUE, "--"))
     with _open_panels(path, len(variants) - 1, title) as figure:
         panels = _make_panels(figure, [f"{name}, from {variants[0]}" for name in variants[1:]])
@@ -88,7 +88,7 @@ def write_distance_figure(dataset: "xarray.Dataset", path: Path, *, title: str) 
             for label, variable, color, dashes in lines:
                 values = dataset[variable].transpose("variant", "time").values[i]
                 axes.plot(time, values, dashes, color=color, linewidth=1.5, label=label)
-        panels[0].set_xlim(*_time_limits(time))
+        panels[0].set_xlim(*_choose_time_limits(time))
         panels[0].set_ylim(bottom=0)
         _label_outer(panels, "node distance [m]")
         _add_legend(figure, panels[0], columns=2)
@@ -121,7 +121,7 @@ def _count_rungs(dataset: "xarray.Dataset") -> str:
     return ", ".join(f"{n} {label}" for n, label in counts if n)
 
 
-def _names(dataset: "xarray.Dataset") -> list[str]:
+def _list_variants(dataset: "xarray.Dataset") -> list[str]:
     return [str(name) for name in dataset["variant"].values]
 
 
@@ -154,12 +154,13 @@ def _add_legend(figure: "Figure", axes: "Axes", *, columns: int) -> None:
 
 
 def _label_outer(panels: "list[Axes]", quantity: str) -> None:
+    """Name the axes at the left and at the bottom of the grid."""
     for axes in panels:
         spec = axes.get_subplotspec()
         assert spec is not None
         if spec.is_first_col():
             axes.set_ylabel(quantity)
-        # a panel with nothing below it carries the times, also above an empty place of the grid
+        # a panel with nothing below it shows the times, also if an empty place of the grid is below
         below = spec.rowspan.stop * spec.get_gridspec().ncols + spec.colspan.start
         if below >= len(panels):
             axes.set_xlabel("time [s]")
@@ -175,7 +176,7 @@ def _draw_ratios(axes: "Axes", time: Floats, values: Floats) -> None:
     axes.axhline(1, color=INK, linewidth=0.9, linestyle=(0, (4, 3)), zorder=2)
     good = np.isfinite(values).all(axis=1)
     if not good.any():
-        axes.text(0.5, 0.5, "no frame", transform=axes.transAxes, ha="center", color=SOFT)
+        axes.text(0.5, 0.5, "no frames", transform=axes.transAxes, ha="center", color=SOFT)
         return
     t, ratio = time[good], values[good]
     cells = ratio.shape[1]
@@ -186,7 +187,7 @@ def _draw_ratios(axes: "Axes", time: Floats, values: Floats) -> None:
         axes.plot(t, np.median(ratio, axis=1), color=BLUE, linewidth=1.2, zorder=2)
     else:
         lines = np.stack([np.broadcast_to(t, (cells, len(t))), ratio.T], axis=-1)
-        opacity = float(np.clip(30 / cells, 0.06, 0.6))
+        opacity = float(np.clip(30 / cells, 0.06, 0.6))  # 30 lines on top of each other are opaque
         axes.add_collection(LineCollection(list(lines), colors=BLUE, alpha=opacity, linewidths=0.6, zorder=1))
     if not good.all():
         axes.set_title(f"ends after t = {t[-1]:.4g} s", loc="right", fontsize=9, fontweight="normal", color=VERMILION)
@@ -194,7 +195,7 @@ def _draw_ratios(axes: "Axes", time: Floats, values: Floats) -> None:
 
 
 def _mark_worst(axes: "Axes", t: Floats, ratio: Floats, *, early: bool) -> None:
-    """Draw the cell with the largest |J - 1| strongly, and say which and when beside its peak."""
+    """Draw the cell with the largest |J - 1| as a thick line and label its peak."""
     when, cell = np.unravel_index(int(np.abs(ratio - 1).argmax()), ratio.shape)
     value = ratio[when, cell]
     axes.plot(t, ratio[:, cell], color=VERMILION, linewidth=1.8, zorder=3)
@@ -213,7 +214,7 @@ def _mark_worst(axes: "Axes", t: Floats, ratio: Floats, *, early: bool) -> None:
     )
 
 
-def _time_limits(time: Floats) -> tuple[float, float]:
+def _choose_time_limits(time: Floats) -> tuple[float, float]:
     return (float(time[0]), float(time[-1])) if len(time) > 1 else (float(time[0]) - 0.5, float(time[0]) + 0.5)
 
 
@@ -223,11 +224,11 @@ def _set_limits(panels: "list[Axes]", time: Floats, ratio: Floats) -> None:
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (1.0, 1.0)
     low, high = min(low, 0.99), max(high, 1.01)
     panels[0].set_ylim(low - 0.12 * (high - low), high + 0.12 * (high - low))
-    panels[0].set_xlim(*_time_limits(time))
+    panels[0].set_xlim(*_choose_time_limits(time))
 
 
 def _add_volume_axis(axes: "Axes", rest: float, unit: str) -> None:
-    """Add volumes at the right: all cells have the same rest volume, so ratio and volume are one curve."""
+    """Add an axis of volumes at the right: all cells have the same rest volume, so one curve shows both."""
 
     def to_volume(ratio: Any) -> Any:
         return ratio * rest
@@ -236,4 +237,4 @@ def _add_volume_axis(axes: "Axes", rest: float, unit: str) -> None:
         return volume / rest
 
     right = axes.secondary_yaxis("right", functions=(to_volume, to_ratio))
-    right.set_ylabel(f"volume of a cell [{unit.replace('m3', 'm³').replace('m2', 'm²')}]")
+    right.set_ylabel(f"cell volume [{unit.replace('m3', 'm³').replace('m2', 'm²')}]")

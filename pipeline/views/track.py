@@ -1,4 +1,4 @@
-"""The drawable part of a recorded series: its surface in every frame, and the numbers written beside it."""
+"""The drawable part of a recorded series: its surface in every frame, and the numbers shown beside it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,18 +10,19 @@ from pipeline.arrays import Floats, Ints
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.mesh.surface import boundary_faces
 from pipeline.series import Series
+from pipeline.system.times import TIME_RTOL
 
-# half-widths of a color range that give readable ticks; 1 is the last, as its lower end is V = 0
+# half-widths of a color range that give readable ticks; with the last, 1, the range begins at V = 0
 RADII = (0.02, 0.04, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
-SAMPLED_CELLS = 2000  # a frame's share in the color range: enough for a quantile, whatever the mesh
-EXPLODED = 20.0  # a frame this many rest sizes wide is a blown-up one: fitting it would shrink the rest to a dot
+SAMPLED_CELLS = 2000  # of a frame, for the color range: enough for a quantile of any mesh
+EXPLODED = 20.0  # a frame this many rest sizes wide has blown up: fitting it would shrink all others to a dot
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """All frames of one panel. Surface only and in single precision: a long motion fits into memory.
+    """All frames of one panel: the surface only, in single precision, so that a long motion fits into memory.
 
-    faces (f, 3) name rows of rest (s, 3) and of points (t, s, 3); ratio (t, f) is that of the owner cell.
+    faces (f, 3) are rows of rest (s, 3) and of points (t, s, 3); ratio (t, f) is that of the cell behind the face.
     """
 
     label: str
@@ -32,7 +33,7 @@ class Track:
     points: NDArray[np.float32]
     ratio: NDArray[np.float32]
     total: Floats  # total volume over total rest volume (t,)
-    low: Floats  # smallest and largest volume ratio of all cells, inner ones too (t,)
+    low: Floats  # smallest and largest volume ratio of all cells, interior ones too (t,)
     high: Floats
     inverted: Ints  # number of inverted cells (t,)
     sample: NDArray[np.float32]  # |J - 1| of some cells of every frame
@@ -42,33 +43,32 @@ class Track:
         """Return the largest |J - 1| of every frame (t,)."""
         return np.maximum(self.high - 1, 1 - self.low)
 
-    def at(self, time: float) -> int:
+    def find_frame(self, time: float) -> int:
         """Return the index of the last frame that is not later than a time, or 0 before the first."""
-        # sums of steps differ from products of them by rounding: 1e-9 of the span is far below any frame interval
-        slack = 1e-9 * max(float(np.ptp(self.times)), abs(time))
+        slack = TIME_RTOL * max(float(np.ptp(self.times)), abs(time))
         return max(int(np.searchsorted(self.times, time + slack, side="right")) - 1, 0)
 
     def ends_before(self, end: float) -> bool:
         """Return whether at least one frame is missing between the last one and a time."""
-        last = float(np.diff(self.times[-2:])[0]) if len(self.times) > 1 else 0.0
-        return bool(end - self.times[-1] > max(0.5 * last, 1e-9 * abs(end)))
+        interval = float(np.diff(self.times[-2:])[0]) if len(self.times) > 1 else 0.0
+        return bool(end - self.times[-1] > max(0.5 * interval, TIME_RTOL * abs(end)))
 
 
 def find_drawn_faces(mesh: Mesh) -> tuple[Ints, Ints]:
-    """Return the triangles that are drawn (f, 3) and the cell that each shows (f,)."""
+    """Return the triangles to draw (f, 3) and the cell behind each (f,)."""
     if mesh.dimension == 2:
         return mesh.cells, np.arange(len(mesh.cells))
     return boundary_faces(mesh)
 
 
 def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda: None) -> Track:
-    """Return the whole motion of a series, each file read once; raises SeriesError where one cannot be."""
+    """Return the whole motion of a series, each file read once; raises SeriesError if one cannot be read."""
     mesh = series.mesh
     faces, owner = find_drawn_faces(mesh)
     nodes, local = np.unique(faces, return_inverse=True)
     count, rest_total = len(series), mesh.rest_volumes.sum()
     points = np.zeros((count, len(nodes), 3), dtype=np.float32)
-    shown = np.empty((count, len(faces)), dtype=np.float32)
+    face_ratio = np.empty((count, len(faces)), dtype=np.float32)
     total, low, high = (np.empty(count) for _ in range(3))
     inverted = np.empty(count, dtype=np.int64)
     sample = []
@@ -77,7 +77,7 @@ def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda:
         volumes = signed_volumes(x, mesh.cells)
         ratio = volumes / mesh.rest_volumes
         points[i, :, : mesh.dimension] = x[nodes]
-        shown[i] = ratio[owner]
+        face_ratio[i] = ratio[owner]
         total[i], low[i], high[i] = volumes.sum() / rest_total, ratio.min(), ratio.max()
         inverted[i] = (ratio <= 0).sum()
         sample.append(np.abs(ratio[:: max(1, len(ratio) // SAMPLED_CELLS)] - 1).astype(np.float32))
@@ -86,7 +86,7 @@ def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda:
     rest[:, : mesh.dimension] = mesh.points[nodes]
     return Track(
         label=label, dimension=mesh.dimension, times=np.asarray(series.times, dtype=np.float64),
-        faces=local.reshape(faces.shape), rest=rest, points=points, ratio=shown, total=total, low=low, high=high,
+        faces=local.reshape(faces.shape), rest=rest, points=points, ratio=face_ratio, total=total, low=low, high=high,
         inverted=inverted, sample=np.concatenate(sample),
     )  # fmt: skip
 
@@ -94,22 +94,29 @@ def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda:
 def choose_color_radius(tracks: Sequence[Track]) -> float:
     """Return r of the color range [1 - r, 1 + r]: cells within it hold 60 % of all |V / V0 - 1| over all frames.
 
-    Weighted by the deviation itself, so that neither a long rest after a short motion nor one bad cell decides:
-    unweighted, the thesis bar, at rest for six of seven seconds, would get a range of 2 % for a motion of 100 %.
+    The quantile is weighted by the deviation, so that neither a long rest after a short motion nor one bad cell
+    decides: unweighted, the thesis bar, at rest for six of seven seconds, would get 2 % for a motion of 100 %.
     """
     return fit_color_radius(np.concatenate([track.sample for track in tracks]))
+
+
+def find_clipped_ends(tracks: Sequence[Track], radius: float) -> tuple[bool, bool]:
+    """Return whether volume ratios of a motion lie below, and above, the color range of that radius."""
+    low = min(float(np.nanmin(track.low)) for track in tracks)
+    high = max(float(np.nanmax(track.high)) for track in tracks)
+    return low < 1 - radius, high > 1 + radius
 
 
 def fit_color_radius(deviations: NDArray[np.floating]) -> float:
     """Return r of the color range for all |V / V0 - 1| of a motion, or a sample of them."""
     pooled = np.sort(deviations[np.isfinite(deviations)].astype(np.float64), axis=None)
-    held = np.cumsum(pooled)
-    wanted = pooled[np.searchsorted(held, 0.6 * held[-1])] if pooled.size else 0.0
-    return next((r for r in RADII if r >= wanted), RADII[-1])
+    sums = np.cumsum(pooled)
+    radius = pooled[np.searchsorted(sums, 0.6 * sums[-1])] if pooled.size else 0.0
+    return next((r for r in RADII if r >= radius), RADII[-1])
 
 
 def list_drawn_points(track: Track) -> Floats:
-    """Return every point that the camera has to see (k, 3): rest and all frames that did not explode."""
+    """Return every point that the camera must see (k, 3): rest and all frames that did not blow up."""
     size = np.linalg.norm(np.ptp(track.rest, axis=0))
     extent = np.linalg.norm(np.ptp(track.points, axis=1), axis=-1)
     keep = extent <= EXPLODED * size  # false for NaN too
@@ -121,7 +128,8 @@ def find_sharp_edges(
 ) -> tuple[Ints, Ints]:
     """Return the creases (k, 2) of a triangle surface, and the edges (m, 2) of its contour seen from a direction.
 
-    An edge of one triangle only counts as a crease: in the plane those are the outline.
+    Faces meet in a crease at more than `angle` degrees. An edge of a single triangle is a crease too: in the plane
+    those are the outline.
     """
     corners = points[faces].astype(np.float64)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

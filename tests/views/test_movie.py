@@ -1,4 +1,4 @@
-"""Movies of recorded series: what a reader of the file finds in it, read back by ffmpeg."""
+"""Movies of recorded series, decoded again by ffmpeg."""
 
 from itertools import permutations, product
 from pathlib import Path
@@ -19,8 +19,8 @@ SIZE = (640, 360)
 TETRA, TRIANGLE = 10, 5
 
 
-def box(cells=(2, 4, 2)):
-    """Return points and tets of a box as long along y as it has cells: six tets a cube."""
+def make_box(cells=(2, 4, 2)):
+    """Return points and tets of a box of unit cubes, six tets in each."""
     n = np.array(cells) + 1
     points = np.array(list(product(*(range(k) for k in n))), dtype=float)
     corners = np.array(list(product(*(range(k) for k in cells))))
@@ -35,22 +35,22 @@ def box(cells=(2, 4, 2)):
     return points, np.concatenate(tets)
 
 
-def sheet(nx=8, ny=3):
+def make_sheet(nx=8, ny=3):
     points = np.array(list(product(range(nx + 1), range(ny + 1))), dtype=float)
     a = np.array([i * (ny + 1) + j for i, j in product(range(nx), range(ny))])
     lower, upper = np.stack([a, a + ny + 1, a + ny + 2], 1), np.stack([a, a + ny + 2, a + 1], 1)
     return points, np.concatenate([lower, upper])
 
 
-def sheared(points, t):
-    """Move along the last axis by the square of the distance from the origin's end, and swell."""
+def shear(points, t):
+    """Move along the last axis by the square of the distance from one end, and swell."""
     x = points * (1 + 0.1 * t)
     x[:, -1] -= 0.08 * t * points[:, -2] ** 2
     return x
 
 
-def record(folder: Path, rest, cells, times, motion=sheared) -> Series:
-    """Write a series as another program would: inline files and an index by hand."""
+def record(folder: Path, rest, cells, times, motion=shear) -> Series:
+    """Write a series as another program would: inline files and a handmade index."""
     import pyvista
 
     folder.mkdir()
@@ -70,11 +70,11 @@ def record(folder: Path, rest, cells, times, motion=sheared) -> Series:
     return read_series(folder)
 
 
-def steps(count, dt=0.1):
+def list_times(count, dt=0.1):
     return [float(dt * i) for i in range(count)]
 
 
-def film(path: Path) -> np.ndarray:
+def decode(path: Path) -> np.ndarray:
     """Return all frames of a movie (frame, row, column, 3), decoded."""
     import imageio_ffmpeg
 
@@ -83,27 +83,27 @@ def film(path: Path) -> np.ndarray:
     return np.stack([np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in frames])
 
 
-def make(tmp_path, series, **options) -> tuple[MovieSummary, np.ndarray]:
+def film(tmp_path, series, **options) -> tuple[MovieSummary, np.ndarray]:
     path = tmp_path / "out" / "movie.mp4"
     labels = [f"panel {i}" for i in range(len(series))]
     options = {"title": "A test", "fps": 10, "size": SIZE, **options}
     summary = write_movie(series, labels, path, **options)
     assert [f.name for f in path.parent.iterdir() if f.name.startswith(".")] == []
-    return summary, film(path)
+    return summary, decode(path)
 
 
-def colorful(pixels) -> int:
+def count_colorful(pixels) -> int:
     """Return the number of pixels that are neither white nor any gray: the bodies and the color bar."""
     return int((np.ptp(pixels.astype(int), axis=-1) > 40).sum())
 
 
 @pytest.mark.opengl
 def test_two_panels_are_synchronous_complete_and_exact_in_size(tmp_path):
-    coarse = record(tmp_path / "coarse", *box(), steps(6, 0.6))
-    fine = record(tmp_path / "fine", *box(), steps(31, 0.1))
+    coarse = record(tmp_path / "coarse", *make_box(), list_times(6, 0.6))
+    fine = record(tmp_path / "fine", *make_box(), list_times(31, 0.1))
     calls = []
     poster = tmp_path / "out" / "poster.png"
-    summary, frames = make(tmp_path, [coarse, fine], poster=poster, on_frame=lambda *a: calls.append(a))
+    summary, frames = film(tmp_path, [coarse, fine], poster=poster, on_frame=lambda *a: calls.append(a))
     assert summary.frames == 31  # 3 s at 10 frames a second, both ends shown
     assert frames.shape == (31, SIZE[1], SIZE[0], 3)
     assert calls == [(k, 31) for k in range(1, 32)]
@@ -113,36 +113,36 @@ def test_two_panels_are_synchronous_complete_and_exact_in_size(tmp_path):
     change = np.abs(np.diff(frames[:, body].astype(int), axis=0)).max(axis=-1) > 60
     left, right = change[:, :, :half].sum(axis=(1, 2)), change[:, :, half:].sum(axis=(1, 2))
     assert (right > 0).all()
-    # the coarse one is recorded at every sixth frame of film, and must stand still in between
-    moved = np.flatnonzero(left > 30) + 1
-    assert moved.tolist() == [6, 12, 18, 24, 30]
+    # the coarse one is recorded at every sixth frame of film, and must not move in between
+    changed = np.flatnonzero(left > 30) + 1
+    assert changed.tolist() == [6, 12, 18, 24, 30]
 
     from PIL import Image
 
     with Image.open(poster) as picture:
         assert picture.size == SIZE
-        assert colorful(np.asarray(picture)) > 2000
+        assert count_colorful(np.asarray(picture)) > 2000
     assert summary.poster_time == pytest.approx(3.0)
 
 
 @pytest.mark.opengl
 def test_a_short_motion_is_slowed_down_to_two_seconds(tmp_path):
-    series = record(tmp_path / "s", *box(), steps(5))
-    summary, frames = make(tmp_path, [series])
+    series = record(tmp_path / "s", *make_box(), list_times(5))
+    summary, frames = film(tmp_path, [series])
     assert summary.frames == len(frames) == 21
     assert summary.speed == pytest.approx(0.2)
 
 
 @pytest.mark.opengl
-def test_one_frame_alone_gives_a_still_film(tmp_path):
-    summary, frames = make(tmp_path, [record(tmp_path / "s", *box(), [0.0])])
+def test_a_single_frame_gives_a_still_film(tmp_path):
+    summary, frames = film(tmp_path, [record(tmp_path / "s", *make_box(), [0.0])])
     assert summary.scenes == 1
     assert len(frames) == 20
 
 
 @pytest.mark.opengl
 def test_a_plane_body_fills_its_panel(tmp_path):
-    summary, frames = make(tmp_path, [record(tmp_path / "s", *sheet(), steps(11))])
+    summary, frames = film(tmp_path, [record(tmp_path / "s", *make_sheet(), list_times(11))])
     assert summary.frames == len(frames)
     body = frames[-1, 60:270]
     assert (np.abs(body.astype(int) - 255).max(axis=-1) > 20).mean() > 0.1
@@ -151,9 +151,9 @@ def test_a_plane_body_fills_its_panel(tmp_path):
 
 @pytest.mark.opengl
 def test_a_series_that_ends_early_is_dimmed(tmp_path):
-    whole = record(tmp_path / "whole", *box(), steps(21))
-    early = record(tmp_path / "early", *box(), steps(11))
-    _, frames = make(tmp_path, [early, whole])
+    whole = record(tmp_path / "whole", *make_box(), list_times(21))
+    early = record(tmp_path / "early", *make_box(), list_times(11))
+    _, frames = film(tmp_path, [early, whole])
     panel = frames[:, 60:270, : SIZE[0] // 2].astype(int)
     drawn = [p[p.min(axis=-1) < 250].mean() for p in (panel[10], panel[12], panel[20])]
     assert drawn[1] > drawn[0] + 25
@@ -165,10 +165,10 @@ def test_a_series_that_ends_early_is_dimmed(tmp_path):
 
 @pytest.mark.opengl
 def test_inverted_cells_are_magenta(tmp_path):
-    def flipped(points, t):
+    def flip(points, t):
         return points * [1, 1, -1] if t > 0.5 else points
 
-    _, frames = make(tmp_path, [record(tmp_path / "s", *box(), steps(11), flipped)])
+    _, frames = film(tmp_path, [record(tmp_path / "s", *make_box(), list_times(11), flip)])
     magenta = (frames[..., 0] > 120) & (frames[..., 1] < 70) & (frames[..., 2] > 110)
     body = magenta[:, 60:270].sum(axis=(1, 2))
     assert body[0] == 0 and body[-1] > 2000
@@ -178,24 +178,24 @@ def test_inverted_cells_are_magenta(tmp_path):
 @pytest.mark.opengl
 @pytest.mark.parametrize("count", [3, 4])
 def test_more_panels(tmp_path, count):
-    series = [record(tmp_path / str(i), *box(), steps(3)) for i in range(count)]
-    _, frames = make(tmp_path, series, fps=5)
+    series = [record(tmp_path / str(i), *make_box(), list_times(3)) for i in range(count)]
+    _, frames = film(tmp_path, series, fps=5)
     assert frames.shape[1:] == (SIZE[1], SIZE[0], 3)
-    assert colorful(frames[-1, 60:270]) > 1000
+    assert count_colorful(frames[-1, 60:270]) > 1000
 
 
 @pytest.mark.opengl
 def test_a_missing_encoder_is_an_output_error_and_leaves_nothing(tmp_path, monkeypatch):
-    series = record(tmp_path / "s", *box(), steps(3))
+    series = record(tmp_path / "s", *make_box(), list_times(3))
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "no-such-ffmpeg"))
-    with pytest.raises(OutputError, match="encoder does not start"):
+    with pytest.raises(OutputError, match="encoder cannot be started"):
         write_movie([series], ["one"], tmp_path / "movie.mp4", title="", size=SIZE)
     assert sorted(f.name for f in tmp_path.iterdir()) == ["s"]
 
 
 @pytest.mark.opengl
-def test_an_encoder_that_dies_is_quoted_and_leaves_the_old_movie(tmp_path, monkeypatch):
-    series = record(tmp_path / "s", *box(), steps(3))
+def test_the_message_of_a_failing_encoder_is_quoted_and_the_old_movie_stays(tmp_path, monkeypatch):
+    series = record(tmp_path / "s", *make_box(), list_times(3))
     broken = tmp_path / "ffmpeg"
     broken.write_text("#!/bin/sh\necho 'Unknown encoder libx264' >&2\nexit 3\n")
     broken.chmod(0o755)
@@ -209,7 +209,7 @@ def test_an_encoder_that_dies_is_quoted_and_leaves_the_old_movie(tmp_path, monke
 
 @pytest.mark.opengl
 def test_an_interruption_leaves_nothing(tmp_path):
-    series = record(tmp_path / "s", *box(), steps(3))
+    series = record(tmp_path / "s", *make_box(), list_times(3))
 
     def interrupt(done, _):
         if done == 5:
@@ -223,38 +223,38 @@ def test_an_interruption_leaves_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"size": (641, 360)}, "641x360: H.264 needs even"),
+        ({"size": (641, 360)}, "641x360: both numbers must be even"),
         ({"size": (64, 36)}, "at least 320x180"),
         ({"speed": 0.0}, "speed 0"),
         ({"fps": -1}, "fps -1"),
     ],
 )
 def test_impossible_requests(tmp_path, options, message):
-    series = record(tmp_path / "s", *box(), steps(2))
+    series = record(tmp_path / "s", *make_box(), list_times(2))
     with pytest.raises(OutputError, match=message):
         write_movie([series], ["one"], tmp_path / "movie.mp4", title="", **options)
 
 
 def test_wrong_numbers_of_panels_and_labels(tmp_path):
-    series = record(tmp_path / "s", *box(), steps(2))
-    with pytest.raises(OutputError, match="one to 4 panels, not 5"):
+    series = record(tmp_path / "s", *make_box(), list_times(2))
+    with pytest.raises(OutputError, match="5 panels: a movie has 1 to 4"):
         write_movie([series] * 5, ["a"] * 5, tmp_path / "movie.mp4", title="")
-    with pytest.raises(OutputError, match="as many labels"):
+    with pytest.raises(OutputError, match="one label for each"):
         write_movie([series], [], tmp_path / "movie.mp4", title="")
 
 
-def test_every_record_is_shown_when_the_rate_allows_it(tmp_path):
+def test_every_frame_is_shown_if_the_rate_allows_it(tmp_path):
     # 0.07 and its multiples have no exact binary form
-    track = read_track(record(tmp_path / "s", *box((1, 1, 1)), [0.07 * i for i in range(40)]), "")
+    track = read_track(record(tmp_path / "s", *make_box((1, 1, 1)), [0.07 * i for i in range(40)]), "")
     line = plan_timeline([track], 1.0, 30)
-    assert {track.at(line.time(k)) for k in range(line.frames)} == set(range(40))
-    assert line.time(line.frames - 1) == track.times[-1]
-    assert track.at(-1.0) == 0
-    assert [track.at(t) for t in track.times] == list(range(40))
+    assert {track.find_frame(line.find_time(k)) for k in range(line.frames)} == set(range(40))
+    assert line.find_time(line.frames - 1) == track.times[-1]
+    assert track.find_frame(-1.0) == 0
+    assert [track.find_frame(t) for t in track.times] == list(range(40))
 
 
 def test_only_a_missing_frame_counts_as_an_early_end(tmp_path):
-    track = read_track(record(tmp_path / "s", *box((1, 1, 1)), steps(5, 0.3)), "")
+    track = read_track(record(tmp_path / "s", *make_box((1, 1, 1)), list_times(5, 0.3)), "")
     assert not track.ends_before(1.2)
     assert not track.ends_before(1.25)  # a shorter interval of another series divides the end differently
     assert track.ends_before(1.5)
@@ -264,39 +264,39 @@ def test_colors_hold_most_cells_and_the_poster_the_worst(tmp_path):
     def pulse(points, t):
         return points * (1 + (0.1 if t == 0.2 else 0.01 * t))
 
-    track = read_track(record(tmp_path / "s", *box((1, 2, 1)), steps(21), pulse), "")
+    track = read_track(record(tmp_path / "s", *make_box((1, 2, 1)), list_times(21), pulse), "")
     assert find_poster_time([track]) == pytest.approx(0.2)
     assert track.total[2] == pytest.approx(1.1**3)
     assert track.worst[2] == pytest.approx(1.1**3 - 1)
     radius = choose_color_radius([track])
     assert radius == 0.1  # slow growth reaches 1.02^3 - 1 = 0.061; the one outlier 0.331
 
-    def damped(points, t):
+    def damp(points, t):
         return points * (1 + 0.1 * np.exp(-t))
 
-    # the long rest after it does not count
-    rested = read_track(record(tmp_path / "rested", *box((1, 1, 1)), steps(60, 0.5), damped), "")
+    # the long rest afterwards does not count
+    rested = read_track(record(tmp_path / "rested", *make_box((1, 1, 1)), list_times(60, 0.5), damp), "")
     assert choose_color_radius([rested]) >= 0.2
-    still = read_track(record(tmp_path / "still", *box((1, 1, 1)), steps(2), lambda p, t: p), "")
+    still = read_track(record(tmp_path / "still", *make_box((1, 1, 1)), list_times(2), lambda p, t: p), "")
     assert choose_color_radius([still]) == RADII[0]
 
 
-def test_the_camera_holds_the_whole_motion_but_not_an_explosion(tmp_path):
+def test_the_camera_sees_the_whole_motion_but_not_an_explosion(tmp_path):
     def burst(points, t):
         return points * (1e6 if t > 0.15 else 1 + t)
 
-    track = read_track(record(tmp_path / "s", *box(), steps(3), burst), "")
+    track = read_track(record(tmp_path / "s", *make_box(), list_times(3), burst), "")
     camera = fit_camera([track])
-    seen = track.points[1] @ np.stack([camera.right, camera.up, camera.toward]).T
-    assert (seen >= camera.low - 1e-5).all() and (seen <= camera.high + 1e-5).all()
+    projected = track.points[1] @ np.stack([camera.right, camera.up, camera.toward]).T
+    assert (projected >= camera.low - 1e-5).all() and (projected <= camera.high + 1e-5).all()
     assert (camera.high - camera.low).max() < 10
-    assert camera.right[1] > 0.9 and camera.up[2] > 0.9  # y to the side, z up
-    flat = fit_camera([read_track(record(tmp_path / "flat", *sheet(), steps(2)), "")])
+    assert camera.right[1] > 0.9 and camera.up[2] > 0.9  # y to the right, z up
+    flat = fit_camera([read_track(record(tmp_path / "flat", *make_sheet(), list_times(2)), "")])
     assert flat.toward.tolist() == [0, 0, 1] and flat.up.tolist() == [0, 1, 0]
 
 
 def test_the_outline_of_a_box_is_its_twelve_edges():
-    mesh = Mesh(*box((2, 3, 2)))
+    mesh = Mesh(*make_box((2, 3, 2)))
     faces, _ = boundary_faces(mesh)
     creases, contour = find_sharp_edges(mesh.points.astype(np.float32), faces, np.array([0.8, -0.5, 0.3]))
     assert len(creases) == 4 * (2 + 3 + 2)
@@ -304,11 +304,11 @@ def test_the_outline_of_a_box_is_its_twelve_edges():
 
 
 def test_panels_and_footer_do_not_overlap(tmp_path):
-    track = read_track(record(tmp_path / "s", *box(), steps(2)), "")
+    track = read_track(record(tmp_path / "s", *make_box(), list_times(2)), "")
     for count in (1, 2, 3, 4):
         layout = choose_layout(count, (1280, 720), fit_camera([track]))
         assert len(layout.panels) == count
         assert all(bottom <= layout.footer and right <= 1280 for _, _, right, bottom in layout.panels)
         for panel in layout.panels:
-            assert layout.scene(panel)[3] <= layout.curve(panel)[1]
+            assert layout.place_body(panel)[3] <= layout.place_curve(panel)[1]
     assert PictureLayout((1280, 720), 2, 2, 4).panels[3][:2] == (640, 58 + (620 - 58) // 2)

@@ -1,4 +1,4 @@
-"""H.264 encoding beside the drawing: a thread feeds ffmpeg, which runs in a process of its own."""
+"""H.264 encoding while the next frames are drawn: a thread feeds ffmpeg, which runs in a process of its own."""
 
 import os
 import subprocess
@@ -15,30 +15,30 @@ from pipeline.errors import OutputError
 WAITING_FRAMES = 4  # enough to keep ffmpeg busy; more would only take memory
 
 
-def _executable() -> str:
+def _find_ffmpeg() -> str:
     try:
         import imageio_ffmpeg
 
         return str(imageio_ffmpeg.get_ffmpeg_exe())
     except (ImportError, RuntimeError) as error:
-        raise OutputError(f"movie: no ffmpeg to encode with ({error}); pip install imageio-ffmpeg") from error
+        raise OutputError(f"movie: ffmpeg is missing ({error}); pip install imageio-ffmpeg") from error
 
 
 class Encoder:
-    """Takes RGB frames and leaves a complete .mp4, or nothing: written beside it and renamed at the end.
+    """Writes RGB frames to a complete .mp4, or to nothing: a file beside it is renamed at the end.
 
-    ffmpeg is started directly: imageio_ffmpeg.write_frames lets its messages go to the terminal and does
-    not look at its exit code, so that a full disk would pass for success.
+    ffmpeg is started directly: imageio_ffmpeg.write_frames lets its messages through to the terminal and ignores
+    its exit code, so that a full disk would pass for success.
     """
 
     def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
         self._path = path
         self._temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
-        # without these an encoder from elsewhere would pick 4:4:4, which browsers and players cannot show
+        # yuv420p: the encoder would pick 4:4:4 for RGB, which browsers and players cannot show
         video = ["-an", "-c:v", "libx264", "-crf", "20", "-preset", "veryfast", "-pix_fmt", "yuv420p"]
         source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:g}", "-i", "-"]
         options = ["-hide_banner", "-loglevel", "error", "-y"]
-        command = [_executable(), *options, *source, *video, "-movflags", "+faststart", "-f", "mp4"]
+        command = [_find_ffmpeg(), *options, *source, *video, "-movflags", "+faststart", "-f", "mp4"]
         self._messages: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -48,14 +48,14 @@ class Encoder:
             )  # fmt: skip
         except OSError as error:
             self._messages.close()
-            raise OutputError(f"{path}: the encoder does not start: {error}") from error
+            raise OutputError(f"{path}: the encoder cannot be started: {error}") from error
         self._queue: Queue[bytes | None] = Queue(WAITING_FRAMES)
         self._broken = False
         self._thread = threading.Thread(target=self._feed, name="movie-encoder", daemon=True)
         self._thread.start()
 
     def _feed(self) -> None:
-        """Hand frames on; after a broken pipe take them without effect, so that nobody waits for ever."""
+        """Pass frames on; after a broken pipe discard them, so that write() never blocks."""
         stdin = self._process.stdin
         assert stdin is not None
         while (frame := self._queue.get()) is not None:
@@ -70,12 +70,12 @@ class Encoder:
             self._broken = True
 
     def write(self, frame: bytes) -> None:
-        """Take one frame, RGB row by row; raises OutputError when ffmpeg has given up."""
+        """Encode one frame, RGB row by row; raises OutputError if ffmpeg has failed."""
         if self._broken:
-            raise OutputError(self._failure())
+            raise OutputError(self._describe_failure())
         self._queue.put(frame)
 
-    def _failure(self) -> str:
+    def _describe_failure(self) -> str:
         code = self._process.wait()
         self._messages.seek(0)
         lines = self._messages.read().decode(errors="replace").strip().splitlines()
@@ -87,7 +87,7 @@ class Encoder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Finish the file and put it in place; after an error of any kind leave nothing of it."""
+        """Finish the file and move it into place; after an exception remove it."""
         if kind is not None:
             self._process.kill()
         self._queue.put(None)
@@ -95,12 +95,12 @@ class Encoder:
         try:
             failed = self._process.wait() != 0 or self._broken
             if kind is None and failed:
-                raise OutputError(self._failure())
+                raise OutputError(self._describe_failure())
             if kind is None:
                 os.replace(self._temporary, self._path)
         except OSError as problem:
             raise OutputError(f"{self._path}: {problem}") from problem
         finally:
             self._messages.close()
-            with suppress(OSError):  # its folder may have gone
+            with suppress(OSError):  # its folder may be gone
                 self._temporary.unlink(missing_ok=True)

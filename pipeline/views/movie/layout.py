@@ -1,4 +1,4 @@
-"""Where things stand on a page of any size: title, a grid of panels, footer; in whole pixels."""
+"""The layout of a page of any size, in whole pixels: title, a grid of panels, footer."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ TITLE, HEADER, CURVE, FOOTER = 58, 54, 62, 100  # heights at 720 lines
 
 @dataclass(frozen=True)
 class PictureLayout:
-    """A page: a panel has its label and numbers above the scene, and the curve of total volume below it."""
+    """A page of panels: each has its label and numbers above the body, and the curve of total volume below it."""
 
     size: tuple[int, int]
     rows: int
@@ -20,7 +20,7 @@ class PictureLayout:
 
     @property
     def unit(self) -> float:
-        """Return pixels for each pixel of a 1280 x 720 page."""
+        """Return the scale of the page: 1 at 1280 x 720."""
         return min(self.size[0] / 1280, self.size[1] / 720)
 
     @property
@@ -50,13 +50,13 @@ class PictureLayout:
                 lines.append((left + gap, bottom, right - gap, bottom))
         return lines
 
-    def scene(self, panel: Rect) -> Rect:
-        """Return where the body of a panel is drawn; a pixel is left for the rules at the sides."""
+    def place_body(self, panel: Rect) -> Rect:
+        """Return the rectangle of a panel's body; 2 pixels at the sides are left for the rules."""
         left, top, right, bottom = panel
         return left + 2, top + round(HEADER * self.unit), right - 2, bottom - round(CURVE * self.unit)
 
-    def curve(self, panel: Rect) -> Rect:
-        """Return the axes of a panel's curve, without its texts."""
+    def place_curve(self, panel: Rect) -> Rect:
+        """Return the rectangle of the axes of a panel's curve, without its texts."""
         left, _, right, bottom = panel
         s, width = self.unit, right - left
         margin = max(0.06 * width, 16 * s)
@@ -66,12 +66,12 @@ class PictureLayout:
 
 
 def choose_layout(count: int, size: tuple[int, int], camera: Camera) -> PictureLayout:
-    """Return the grid in which bodies are largest; side by side unless another is a third better."""
+    """Return the grid that shows bodies largest; side by side, unless another grid is a third better."""
 
-    def meters(layout: PictureLayout) -> float:
-        left, top, right, bottom = layout.scene(layout.panels[0])
-        return camera.pixel_size(max(right - left, 1), max(bottom - top, 1))
+    def fit_pixel(layout: PictureLayout) -> float:
+        left, top, right, bottom = layout.place_body(layout.panels[0])
+        return camera.fit_pixel(max(right - left, 1), max(bottom - top, 1))
 
     layouts = [PictureLayout(size, rows, columns, count) for rows, columns in GRIDS[count]]
-    best = min(layouts, key=meters)
-    return best if meters(best) * 4 / 3 < meters(layouts[0]) else layouts[0]
+    best = min(layouts, key=fit_pixel)
+    return best if fit_pixel(best) * 4 / 3 < fit_pixel(layouts[0]) else layouts[0]

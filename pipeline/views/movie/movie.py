@@ -1,4 +1,4 @@
-"""Recorded series side by side, synchronous in time, as an .mp4 and a poster."""
+"""The movie of recorded series side by side at the same times: an .mp4 and a poster."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from pipeline.errors import OutputError
 from pipeline.formats.atomic import whole_file
 from pipeline.series import Series
 from pipeline.system.opengl import ensure_opengl
+from pipeline.system.times import TIME_RTOL
 from pipeline.views.camera import fit_camera
 from pipeline.views.movie.encoder import Encoder
 from pipeline.views.movie.layout import GRIDS, choose_layout
@@ -22,25 +23,25 @@ from pipeline.views.track import Track, choose_color_radius, read_track
 if TYPE_CHECKING:
     from PIL import Image
 
-SHORTEST = 2.0  # seconds: below that nothing can be followed
-SMALLEST = (320, 180)  # below that the texts cannot be read
+SHORTEST = 2.0  # seconds: a shorter film cannot be followed
+SMALLEST = (320, 180)  # texts of a smaller film cannot be read
 
 
 @dataclass(frozen=True)
 class MovieSummary:
-    """What was written: frames and seconds of film, and what a reader should know about it."""
+    """Length, speed and colors of a film that was written."""
 
     frames: int
     seconds: float
-    speed: float  # simulated seconds a second of film; lower than asked for where the film was too short
-    poster_time: float  # when the largest |V / V0 - 1| of all panels is reached [s]
+    speed: float  # simulated seconds per second of film; lower than requested if the film would be too short
+    poster_time: float  # time of the largest |V / V0 - 1| of all panels [s]
     color_range: tuple[float, float]
     scenes: int  # frames that differ in more than the clock
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """The simulated time that each frame of film shows: start + k speed / fps, the last one the end."""
+    """The simulated time of each frame of film: start + k speed / fps; the last frame shows the end."""
 
     start: float
     end: float
@@ -48,7 +49,7 @@ class Timeline:
     frames: int
     fps: float
 
-    def time(self, k: int) -> float:
+    def find_time(self, k: int) -> float:
         """Return the simulated time of frame k [s]."""
         return min(self.start + k * self.speed / self.fps, self.end)
 
@@ -58,74 +59,74 @@ def write_movie(
     speed: float = 1.0, fps: float = 30, size: tuple[int, int] = (1280, 720),
     on_frame: Callable[[int, int], None] | None = None,
 ) -> MovieSummary:  # fmt: skip
-    """Write one to four series side by side as H.264, and the most telling moment as a PNG.
+    """Write one to four series side by side as H.264, and the moment of the largest volume change as a PNG.
 
-    Each frame shows of every series the last record that is not later; a series that ends before the
-    others keeps its last one, dimmed. `on_frame(done, frames)` is called after each frame of film.
-    Raises OutputError without OpenGL or encoder, where a file cannot be written and for impossible sizes.
+    Each frame of film shows the last recorded frame of every series that is not later; a series that ends before the
+    others keeps its last frame, dimmed. `on_frame(done, frames)` is called after each frame of film. Raises
+    OutputError without OpenGL or ffmpeg, if a file cannot be written and for impossible sizes.
     """
-    _check(series, labels, size, speed, fps)
+    _check_arguments(series, labels, size, speed, fps)
     ensure_opengl()
-    tracks = [read_track(one, label) for one, label in zip(series, labels, strict=True)]
+    tracks = [read_track(recorded, label) for recorded, label in zip(series, labels, strict=True)]
     line = plan_timeline(tracks, speed, fps)
-    with _Studio(tracks, title, size, _speed_note(line)) as studio:
+    with _Studio(tracks, title, size, _describe_speed(line)) as studio:
         moment = find_poster_time(tracks)
         if poster is not None:
             with whole_file(poster) as temporary:
-                studio.picture(moment).save(temporary, format="PNG", optimize=True)
+                studio.draw(moment).save(temporary, format="PNG", optimize=True)
         studio.scenes = 0  # those of the film
         with Encoder(path, size, fps) as encoder:
             for k in range(line.frames):
-                encoder.write(studio.picture(line.time(k)).tobytes())
+                encoder.write(studio.draw(line.find_time(k)).tobytes())
                 if on_frame is not None:
                     on_frame(k + 1, line.frames)
         shown = (round(1 - studio.radius, 6), round(1 + studio.radius, 6))
         return MovieSummary(line.frames, line.frames / fps, line.speed, moment, shown, studio.scenes)
 
 
-def _check(
+def _check_arguments(
     series: Sequence[Series], labels: Sequence[str], size: tuple[int, int], speed: float, fps: float
 ) -> None:  # fmt: skip
     if len(series) not in GRIDS:
-        raise OutputError(f"a movie has one to {max(GRIDS)} panels, not {len(series)}")
+        raise OutputError(f"movie: {len(series)} panels: a movie has 1 to {max(GRIDS)}")
     if len(labels) != len(series):
-        raise OutputError(f"{len(series)} series need as many labels, not {len(labels)}")
+        raise OutputError(f"movie: {len(labels)} labels for {len(series)} series: give one label for each")
     if size[0] % 2 or size[1] % 2 or size[0] < SMALLEST[0] or size[1] < SMALLEST[1]:
         raise OutputError(
-            f"movie size {size[0]}x{size[1]}: H.264 needs even numbers, and the texts at least "
-            f"{SMALLEST[0]}x{SMALLEST[1]}"
+            f"movie: size {size[0]}x{size[1]}: both numbers must be even (H.264), and at least "
+            f"{SMALLEST[0]}x{SMALLEST[1]} (the texts)"
         )
     if not (speed > 0 and fps > 0 and np.isfinite(speed) and np.isfinite(fps)):
-        raise OutputError(f"movie speed {speed:g} and fps {fps:g} have to be positive")
+        raise OutputError(f"movie: speed {speed:g} and fps {fps:g} must be positive and finite")
 
 
 def plan_timeline(tracks: Sequence[Track], speed: float, fps: float) -> Timeline:
-    """Return the times to show; a motion shorter than 2 s of film is slowed down to that."""
+    """Return the times to show; a motion shorter than 2 s of film is slowed down to 2 s."""
     start = min(float(track.times[0]) for track in tracks)
     end = max(float(track.times[-1]) for track in tracks)
     span = end - start
     if span <= 0:
         return Timeline(start, end, speed, round(SHORTEST * fps), fps)
     seconds = max(span / speed, SHORTEST)
-    # one more frame than intervals: the first and the last instant are both shown
+    # one frame more than intervals: the first and the last instant are both shown
     frames = int(np.ceil(seconds * fps - 1e-6)) + 1
     return Timeline(start, end, span / seconds, frames, fps)
 
 
-def _speed_note(line: Timeline) -> str:
+def _describe_speed(line: Timeline) -> str:
     if line.end <= line.start:
-        return "one instant"
+        return "a single instant"
     return "real time" if abs(line.speed - 1) < 1e-6 else f"{line.speed:.3g} × real time"
 
 
 def find_poster_time(tracks: Sequence[Track]) -> float:
-    """Return when the largest |V / V0 - 1| of all cells of all panels is reached [s]."""
+    """Return the time of the largest |V / V0 - 1| of all cells of all panels [s]."""
     peaks = [(float(np.nanmax(t.worst)), float(t.times[int(np.nanargmax(t.worst))])) for t in tracks]
     return max(peaks)[1]
 
 
 class _Studio:
-    """Draws the picture of any time; a scene that has not changed since the last picture is not drawn again."""
+    """Draws the picture of any time; bodies that have not changed since the last picture are not drawn again."""
 
     def __init__(self, tracks: Sequence[Track], title: str, size: tuple[int, int], note: str) -> None:
         self._tracks = tracks
@@ -133,27 +134,27 @@ class _Studio:
         self.radius, self.scenes = choose_color_radius(tracks), 0
         camera, palette = fit_camera(tracks), Palette(self.radius)
         layout = choose_layout(len(tracks), size, camera)
-        left, top, right, bottom = layout.scene(layout.panels[0])
+        left, top, right, bottom = layout.place_body(layout.panels[0])
         self._page = Page(tracks, layout, camera, palette, title, note)
-        self._scene = Canvas(tracks, camera, palette, (right - left, bottom - top))
+        self._canvas = Canvas(tracks, camera, palette, (right - left, bottom - top))
         self._last: tuple[list[PanelState], list[Image.Image]] = ([], [])
 
-    def picture(self, time: float) -> "Image.Image":
-        """Return the whole page at a time."""
-        states = [self._state(track, time) for track in self._tracks]
+    def draw(self, time: float) -> "Image.Image":
+        """Return the whole page at a time [s]."""
+        states = [self._find_state(track, time) for track in self._tracks]
         if states != self._last[0]:
-            self._last = states, self._scene.draw(states)
+            self._last = states, self._canvas.draw(states)
             self.scenes += 1
         return self._page.compose(self._last[1], states, time)
 
-    def _state(self, track: Track, time: float) -> PanelState:
-        index = track.at(time)
-        # the last frame of a series that failed is still good at its own time
-        ended = index == len(track.times) - 1 and time > track.times[-1] * (1 + 1e-9)
+    def _find_state(self, track: Track, time: float) -> PanelState:
+        index = track.find_frame(time)
+        # the last frame of a series that failed is valid at its own time
+        ended = index == len(track.times) - 1 and time > track.times[-1] * (1 + TIME_RTOL)
         return index, ended and track.ends_before(self._end)
 
     def __enter__(self) -> "_Studio":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._scene.close()
+        self._canvas.close()

@@ -1,6 +1,6 @@
-"""Everything around the bodies: title, panel texts, curves of total volume, color bar and clock, drawn by PIL.
+"""The page around the bodies: title, panel texts, curves of total volume, color bar and clock, drawn by PIL.
 
-What does not change is drawn once; a frame pastes the panels into it and adds its numbers.
+Static parts are drawn once; each frame pastes the bodies into a copy and adds its numbers.
 """
 
 from collections.abc import Sequence
@@ -13,20 +13,19 @@ import numpy as np
 from pipeline.views.camera import Camera
 from pipeline.views.movie.layout import PictureLayout, Rect
 from pipeline.views.movie.scene import OVERSAMPLING, PanelState
-from pipeline.views.palette import INVERTED, Palette
-from pipeline.views.track import Track
+from pipeline.views.palette import CURVE_AHEAD, FAILED, FAINT, FILM_INK, FILM_RULE, INVERTED, OUTLINE, SOFT, Palette
+from pipeline.views.track import Track, find_clipped_ends
 
 if TYPE_CHECKING:
     from PIL import Image, ImageFont
 
-INK, SOFT, FAINT, RULE = (24, 27, 38), (98, 104, 117), (176, 181, 191), (222, 225, 231)
-USUAL = "total volume 100.0 %     V/V₀ from 0.00 to 0.000"
-CURVE_AHEAD, FAILED = (198, 203, 213), (190, 18, 44)
+Color = str | tuple[int, int, int]
+USUAL = "total volume 100.0 %     V/V₀ from 0.00 to 0.000"  # the text that sizes the numbers of a panel
 
 
 @cache
 def load_font(size: int, bold: bool = False) -> "ImageFont.FreeTypeFont":
-    """Return DejaVu Sans, which matplotlib carries along: the same picture on every machine."""
+    """Return DejaVu Sans as bundled with matplotlib: the same picture on every machine."""
     import matplotlib
     from PIL import ImageFont
 
@@ -34,16 +33,16 @@ def load_font(size: int, bold: bool = False) -> "ImageFont.FreeTypeFont":
     return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
 
 
-def _fitted(draw: Any, text: str, size: float, width: float, bold: bool = False) -> "ImageFont.FreeTypeFont":
-    """Return the largest font up to a size in which a text is no wider than a width; 6 pixels at least."""
-    fitted = int(size)
-    while fitted > 6 and draw.textlength(text, load_font(fitted, bold)) > width:
-        fitted -= 1
-    return load_font(max(fitted, 6), bold)
+def _fit_font(draw: Any, text: str, size: float, width: float, bold: bool = False) -> "ImageFont.FreeTypeFont":
+    """Return the largest font up to a size in which a text is no wider than `width`; at least 6 pixels."""
+    pixels = int(size)
+    while pixels > 6 and draw.textlength(text, load_font(pixels, bold)) > width:
+        pixels -= 1
+    return load_font(max(pixels, 6), bold)
 
 
 class Page:
-    """A picture of all panels at one time; `compose` returns it."""
+    """A page with all panels; `compose` returns its picture at one time."""
 
     def __init__(
         self, tracks: Sequence[Track], layout: PictureLayout, camera: Camera, palette: Palette, title: str, note: str
@@ -54,28 +53,28 @@ class Page:
         digits = 3 if palette.radius < 0.1 else 2
         self._ratio_format = f".{digits}f"
         totals = np.concatenate([track.total[np.isfinite(track.total)] for track in tracks])
-        # at least half a per cent high: rounding must not look like a drift
+        # the axis spans at least half a percent: rounding must not look like a drift
         self._total_low = min(float(totals.min()), 0.9975)
         self._total_high = max(float(totals.max()), 1.0025)
-        # times with as many decimals as the frames need
+        # as many decimals as tell the frames apart
         step = min((float(np.diff(t.times).min()) for t in tracks if len(t.times) > 1), default=1.0)
         self._time_digits = int(np.clip(np.ceil(-np.log10(max(step, 1e-9))), 2, 6))
         self._still = self._draw_still(title, note, camera)
 
     def compose(self, panels: "Sequence[Image.Image]", states: Sequence[PanelState], time: float) -> "Image.Image":
-        """Return the page with these pictures of the panels, their numbers, and the clock at a time."""
+        """Return the page with these pictures of the bodies, their numbers, and the clock at a time."""
         from PIL import ImageDraw
 
         page = self._still.copy()
         draw = ImageDraw.Draw(page)
         for track, rect, picture, state in zip(self._tracks, self._layout.panels, panels, states, strict=True):
-            page.paste(picture, self._layout.scene(rect)[:2])
+            page.paste(picture, self._layout.place_body(rect)[:2])
             self._write_numbers(draw, track, rect, state)
             self._mark_curve(page, track, rect, state[0])
         s, layout = self._layout.unit, self._layout
         clock = f"t = {time:.{self._time_digits}f} s"
         place = (layout.size[0] - 32 * s, layout.footer + 44 * s)
-        draw.text(place, clock, INK, load_font(round(19 * s)), anchor="rm")
+        draw.text(place, clock, FILM_INK, load_font(round(19 * s)), anchor="rm")
         return page
 
     def _write_numbers(self, draw: Any, track: Track, rect: Rect, state: PanelState) -> None:
@@ -83,16 +82,18 @@ class Page:
         left, top, right, _ = rect
         s, width = self._layout.unit, right - left
         low, high = (format(v, self._ratio_format) for v in (track.low[index], track.high[index]))
-        parts = [(f"total volume {100 * track.total[index]:.1f} %     V/V₀ from {low} to {high}", SOFT)]
+        parts: list[tuple[str, Color]] = [
+            (f"total volume {100 * track.total[index]:.1f} %     V/V₀ from {low} to {high}", SOFT)
+        ]
         if track.inverted[index]:
             parts.append((f"     {track.inverted[index]} inverted", INVERTED))
         if ended:
             when = f"{track.times[-1]:.{self._time_digits}f}"
             parts = [(f"ends at t = {when} s", FAILED), (f"     V/V₀ from {low} to {high}", SOFT)]
         line = "".join(text for text, _ in parts)
-        # no wider than the usual text, so that the panels of a page agree in size wherever they can
+        # sized for the usual text, so that the panels of a page agree in size if possible
         size = min(15 * s, 15 * s * (width - 16 * s) / draw.textlength(USUAL, load_font(round(15 * s))))
-        face = _fitted(draw, line, size, width - 8 * s)
+        face = _fit_font(draw, line, size, width - 8 * s)
         lengths = [draw.textlength(text, face) for text, _ in parts]
         x = (left + right - sum(lengths)) / 2
         for (text, color), length in zip(parts, lengths, strict=True):
@@ -100,9 +101,9 @@ class Page:
             x += length
 
     def _mark_curve(self, page: "Image.Image", track: Track, rect: Rect, index: int) -> None:
-        """Darken the curve up to now and put a dot on it."""
-        left, top, right, bottom = self._layout.curve(rect)
-        x, y = self._curve_points(track, rect)[index]
+        """Darken the curve up to the present and put a dot on it."""
+        left, top, right, bottom = self._layout.place_curve(rect)
+        x, y = self._project_curve(track, rect)[index]
         pad = round(4 * self._layout.unit)
         until = round(np.clip(x, left, right))
         box = (left - pad, top - pad, until, bottom + pad)
@@ -111,11 +112,11 @@ class Page:
         radius, fine = 4.2 * self._layout.unit, 8
         side = int(2 * radius) + 4
         corner = (int(x - side / 2), int(y - side / 2))
-        dot = _dot(side, fine, radius, round((x - corner[0]) * fine), round((y - corner[1]) * fine))
-        page.paste(INK, (*corner, corner[0] + side, corner[1] + side), dot)
+        dot = _draw_dot(side, fine, radius, round((x - corner[0]) * fine), round((y - corner[1]) * fine))
+        page.paste(FILM_INK, (*corner, corner[0] + side, corner[1] + side), dot)
 
-    def _curve_points(self, track: Track, rect: Rect) -> list[tuple[float, float]]:
-        left, top, right, bottom = self._layout.curve(rect)
+    def _project_curve(self, track: Track, rect: Rect) -> list[tuple[float, float]]:
+        left, top, right, bottom = self._layout.place_curve(rect)
         across = (track.times - self._start) / max(self._end - self._start, 1e-300)
         total = np.nan_to_num(track.total, nan=1.0)
         upward = (total - self._total_low) / (self._total_high - self._total_low)
@@ -124,11 +125,11 @@ class Page:
         return list(zip(xs.tolist(), ys.tolist(), strict=True))
 
     def _draw_still(self, title: str, note: str, camera: Camera) -> "Image.Image":
-        """Draw what stays, once with curves ahead (returned) and once with curves passed (kept for pasting)."""
+        """Return the static page with curves still ahead; the same with curves passed is stored for pasting."""
         from PIL import Image, ImageDraw
 
         pages = []
-        for curve in (INK, CURVE_AHEAD):
+        for curve in (FILM_INK, CURVE_AHEAD):
             size = (OVERSAMPLING * self._layout.size[0], OVERSAMPLING * self._layout.size[1])
             page = Image.new("RGB", size, "white")
             draw = ImageDraw.Draw(page)
@@ -145,18 +146,18 @@ class Page:
         """Draw title, panel labels and the rules between panels, at twice the size."""
         o, layout, s = OVERSAMPLING, self._layout, self._layout.unit
         width = layout.size[0]
-        face = _fitted(draw, title, 25 * o * s, o * (width - 40 * s), bold=True)
-        draw.text((o * width / 2, o * 32 * s), title, INK, face, anchor="mm")
+        face = _fit_font(draw, title, 25 * o * s, o * (width - 40 * s), bold=True)
+        draw.text((o * width / 2, o * 32 * s), title, FILM_INK, face, anchor="mm")
         for track, (left, top, right, _) in zip(self._tracks, layout.panels, strict=True):
-            face = _fitted(draw, track.label, 19 * o * s, o * (right - left - 16 * s), bold=True)
-            draw.text((o * (left + right) / 2, o * (top + 15 * s)), track.label, INK, face, anchor="mm")
+            face = _fit_font(draw, track.label, 19 * o * s, o * (right - left - 16 * s), bold=True)
+            draw.text((o * (left + right) / 2, o * (top + 15 * s)), track.label, FILM_INK, face, anchor="mm")
         for line in layout.rules:
-            draw.line([o * c for c in line], RULE, o)
+            draw.line([o * c for c in line], FILM_RULE, o)
 
-    def _draw_curve(self, draw: Any, track: Track, rect: Rect, color: tuple[int, int, int]) -> None:
-        """Draw total volume over time with its lines at 100 % and at the largest deviation of any panel."""
+    def _draw_curve(self, draw: Any, track: Track, rect: Rect, color: Color) -> None:
+        """Draw total volume over time, with lines at 100 % and at the limits of the axis shared by all panels."""
         o, s = OVERSAMPLING, self._layout.unit
-        left, top, right, bottom = (float(o * c) for c in self._layout.curve(rect))
+        left, top, right, bottom = (float(o * c) for c in self._layout.place_curve(rect))
         span = self._total_high - self._total_low
         level = bottom - (1 - self._total_low) / span * (bottom - top)
         face = load_font(max(round(11.5 * o * s), 6))
@@ -166,9 +167,9 @@ class Page:
                 marks.append((y, value))
         digits = 0 if span > 0.1 else 1 if span > 0.01 else 2
         for y, value in marks:
-            draw.line([left, y, right, y], RULE if value != 1.0 else FAINT, o)
+            draw.line([left, y, right, y], FILM_RULE if value != 1.0 else FAINT, o)
             draw.text((left - 8 * o * s, y), f"{100 * value:.{digits}f} %", SOFT, face, anchor="rm")
-        points = [(o * x, o * y) for x, y in self._curve_points(track, rect)]
+        points = [(o * x, o * y) for x, y in self._project_curve(track, rect)]
         if len(points) > 1:
             draw.line(points, color, round(1.7 * o * s), joint="curve")
         name_x = (o * rect[0] + left - 62 * o * s) / 2
@@ -176,7 +177,7 @@ class Page:
             draw.text((name_x, (top + bottom) / 2 + (i - 0.5) * 15 * o * s), word, SOFT, face, anchor="mm")
 
     def _draw_color_bar(self, page: "Image.Image", draw: Any) -> None:
-        """Draw the shared bar; an end that values lie beyond gets a point and <= or >=."""
+        """Draw the shared bar; an end that values exceed is pointed and has a ≤ or ≥."""
         from PIL import Image
 
         o, s, layout = OVERSAMPLING, self._layout.unit, self._layout
@@ -185,8 +186,7 @@ class Page:
         strip = Image.fromarray(np.ascontiguousarray(self._palette.table[None]))
         page.paste(strip.resize((width, height), Image.Resampling.BILINEAR), (left, top))
         radius, table = self._palette.radius, self._palette.table
-        below = min(float(np.nanmin(t.low)) for t in self._tracks) < 1 - radius
-        above = max(float(np.nanmax(t.high)) for t in self._tracks) > 1 + radius
+        below, above = find_clipped_ends(self._tracks, radius)
         for clipped, x, tip, color in (
             (below, left, -0.8 * height, table[0]),
             (above, left + width - 1, 0.8 * height, table[-1]),
@@ -198,12 +198,14 @@ class Page:
         for i in range(5):
             sign = "≤ " if i == 0 and below else "≥ " if i == 4 and above else ""
             text = f"{sign}{1 - radius + i * radius / 2:.2f}"
-            draw.text((left + i * width / 4, top + height + 13 * o * s), text, INK, face, anchor="mm")
-        caption = "volume ratio V / V₀   (1 = volume kept)"
-        draw.text((o * layout.size[0] / 2, top - 15 * o * s), caption, INK, load_font(round(14 * o * s)), anchor="mm")
+            draw.text((left + i * width / 4, top + height + 13 * o * s), text, FILM_INK, face, anchor="mm")
+        caption = "volume ratio V / V₀   (1 = volume preserved)"
+        draw.text(
+            (o * layout.size[0] / 2, top - 15 * o * s), caption, FILM_INK, load_font(round(14 * o * s)), anchor="mm"
+        )
 
     def _draw_legend(self, draw: Any, note: str, camera: Camera) -> None:
-        """Draw the axes and what lines and colors mean (left), and how fast the movie runs (right)."""
+        """Draw the axes and the key of lines and colors (left), and the speed of the movie (right)."""
         o, s, layout = OVERSAMPLING, self._layout.unit, self._layout
         face = load_font(max(round(13 * o * s), 6))
         origin = np.array([50 * o * s, o * (layout.footer + 62 * s)])
@@ -215,10 +217,9 @@ class Page:
             tip = origin + arm * (1 + 9 * o * s / np.linalg.norm(arm))
             draw.text(tuple(tip), name, SOFT, face, anchor="mm")
         x, y = 104 * o * s, o * (layout.footer + 44 * s)
-        any_inverted = any(track.inverted.any() for track in self._tracks)
-        rows: list[tuple[tuple[int, int, int], str]] = [((143, 148, 161), "rest shape")]
-        if any_inverted:
-            rows.append((INVERTED, "inverted (V < 0)"))
+        rows = [(OUTLINE, "rest shape")]
+        if any(track.inverted.any() for track in self._tracks):
+            rows.append((INVERTED, "inverted (V ≤ 0)"))
         for i, (color, text) in enumerate(rows):
             row = y + i * 22 * o * s
             if color == INVERTED:
@@ -231,8 +232,8 @@ class Page:
 
 
 @cache
-def _dot(side: int, fine: int, radius: float, x: int, y: int) -> "Image.Image":
-    """Return the mask of a round dot whose middle lies at (x, y) / fine of a square."""
+def _draw_dot(side: int, fine: int, radius: float, x: int, y: int) -> "Image.Image":
+    """Return the mask of a round dot with its center at (x, y) / fine in a square."""
     from PIL import Image, ImageDraw
 
     mask = Image.new("L", (side * fine, side * fine), 0)

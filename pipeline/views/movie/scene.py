@@ -1,6 +1,6 @@
-"""The bodies themselves: surfaces drawn off screen by VTK, updated in place from frame to frame.
+"""The bodies: surfaces drawn off screen by VTK, updated in place from frame to frame.
 
-Rendered at twice the size and averaged down: smoother than 4x multisampling and five times faster without a GPU.
+They are drawn at twice the size and averaged: smoother than 4x multisampling, and five times faster without a GPU.
 """
 
 from collections.abc import Sequence
@@ -8,23 +8,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.arrays import Floats, Ints
+from pipeline.arrays import Ints
 from pipeline.views.camera import Camera
-from pipeline.views.palette import Palette
+from pipeline.views.palette import OUTLINE, Palette
 from pipeline.views.track import Track, find_sharp_edges
 
 if TYPE_CHECKING:
     from PIL import Image
 
 OVERSAMPLING = 2
-CREASE_COLOUR, OUTLINE_COLOUR, EDGE_COLOUR = (0.16, 0.18, 0.24), (0.56, 0.58, 0.63), (0.13, 0.15, 0.22)
-PanelState = tuple[int, bool]  # frame shown, whether the series has ended
+CREASE_COLOR, EDGE_COLOR = (0.16, 0.18, 0.24), (0.13, 0.15, 0.22)
+PanelState = tuple[int, bool]  # index of the frame shown, whether the series has ended
+# mostly ambient: a shaded color must still be found on the color bar; the faint remainder shows the relief
+AMBIENT, DIFFUSE = 0.62, 0.50
+EDGE_OPACITY = 0.42  # of the lines between cells at most: seen, but the color of a cell stays its own
 
 
 class Canvas:
-    """All panels in one off-screen window, side by side; `draw` returns one picture a panel.
+    """All panels side by side in one off-screen window; `draw` returns one picture for each panel.
 
-    ensure_opengl() has to be called before.
+    Call ensure_opengl() first.
     """
 
     def __init__(self, tracks: Sequence[Track], camera: Camera, palette: Palette, panel: tuple[int, int]) -> None:
@@ -41,24 +44,24 @@ class Canvas:
             body.renderer.SetViewport(i / len(tracks), 0, (i + 1) / len(tracks), 1)
             window.AddRenderer(body.renderer)
         self._window = window
-        self._grab: Any = vtkWindowToImageFilter()
-        self._grab.SetInput(window)
-        self._grab.SetInputBufferTypeToRGB()
-        self._grab.ReadFrontBufferOff()
-        self._grab.ShouldRerenderOff()
+        self._grabber: Any = vtkWindowToImageFilter()
+        self._grabber.SetInput(window)
+        self._grabber.SetInputBufferTypeToRGB()
+        self._grabber.ReadFrontBufferOff()
+        self._grabber.ShouldRerenderOff()
 
     def draw(self, states: Sequence[PanelState]) -> "list[Image.Image]":
-        """Return the picture of every panel, at its own size."""
+        """Return the picture of every panel, each of the panel's size."""
         from PIL import Image
         from vtkmodules.util.numpy_support import vtk_to_numpy
 
         for body, (index, dimmed) in zip(self._bodies, states, strict=True):
             body.show(index, dimmed)
         self._window.Render()
-        self._grab.Modified()
-        self._grab.Update()
-        size = self._grab.GetOutput().GetDimensions()[:2]
-        pixels = vtk_to_numpy(self._grab.GetOutput().GetPointData().GetScalars())
+        self._grabber.Modified()
+        self._grabber.Update()
+        size = self._grabber.GetOutput().GetDimensions()[:2]
+        pixels = vtk_to_numpy(self._grabber.GetOutput().GetPointData().GetScalars())
         # VTK's first row is the lowest: hence -1
         whole = Image.frombuffer("RGB", size, pixels, "raw", "RGB", 0, -1).reduce(OVERSAMPLING)
         width, height = self._panel
@@ -78,31 +81,32 @@ class _Body:
         from vtkmodules.vtkCommonDataModel import vtkPolyData
 
         self.track, self._palette = track, palette
-        # VTK looks into these two arrays: writing to them is all that a new frame takes
+        # VTK shares the memory of these two arrays: a new frame only has to be written into them
         self._points = track.rest.copy()
         self._colors = np.zeros((len(track.faces), 3), dtype=np.uint8)
         self._vtk_points: Any = vtkPoints()
         self._vtk_points.SetData(numpy_to_vtk(self._points))
         self._vtk_colors: Any = numpy_to_vtk(self._colors)
         creases, contour = find_sharp_edges(track.rest, track.faces, camera.toward)
-        meters = camera.pixel_size(*panel)
+        pixel = camera.fit_pixel(*panel)
         self._surface: Any = vtkPolyData()
         self._surface.SetPoints(self._vtk_points)
-        self._surface.SetPolys(_cell_array(track.faces))
+        self._surface.SetPolys(_make_cell_array(track.faces))
         self._surface.GetCellData().SetScalars(self._vtk_colors)
-        self._creases = _lines(self._vtk_points, creases)
+        self._creases = _make_lines(self._vtk_points, creases)
         rest_points: Any = vtkPoints()
         rest_points.SetData(numpy_to_vtk(track.rest, deep=True))
         scale = OVERSAMPLING * min(1.0, panel[1] / 400)
-        self.renderer = _renderer(camera, meters * panel[1] / 2)
-        self.renderer.AddActor(_surface_actor(self._surface, track, meters, scale))
-        self._crease_actor = _line_actor(self._creases, CREASE_COLOUR, 1.1 * scale)
+        self.renderer = _make_renderer(camera, pixel * panel[1] / 2)
+        self.renderer.AddActor(_make_surface_actor(self._surface, track, pixel, scale))
+        self._crease_actor = _make_line_actor(self._creases, CREASE_COLOR, 1.1 * scale)
         self.renderer.AddActor(self._crease_actor)
-        outline = _lines(rest_points, np.concatenate([creases, contour]))
-        self.renderer.AddActor(_line_actor(outline, OUTLINE_COLOUR, 1.2 * scale))
+        r, g, b = OUTLINE
+        outline = _make_lines(rest_points, np.concatenate([creases, contour]))
+        self.renderer.AddActor(_make_line_actor(outline, (r / 255, g / 255, b / 255), 1.2 * scale))
 
     def show(self, index: int, dimmed: bool) -> None:
-        """Put one frame in place."""
+        """Update the surface to one frame."""
         self._points[:] = self.track.points[index]
         self._colors[:] = self._palette.map_colors(self.track.ratio[index], dimmed)
         self._crease_actor.GetProperty().SetOpacity(0.3 if dimmed else 1.0)
@@ -110,8 +114,8 @@ class _Body:
             changed.Modified()
 
 
-def _cell_array(cells: Ints) -> Any:
-    """Return VTK's cells for triangles (f, 3) or lines (k, 2)."""
+def _make_cell_array(cells: Ints) -> Any:
+    """Return triangles (f, 3) or lines (k, 2) as VTK's cells."""
     from vtkmodules.util.numpy_support import numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonDataModel import vtkCellArray
 
@@ -122,44 +126,44 @@ def _cell_array(cells: Ints) -> Any:
     return array
 
 
-def _lines(points: Any, edges: Ints) -> Any:
+def _make_lines(points: Any, edges: Ints) -> Any:
     from vtkmodules.vtkCommonDataModel import vtkPolyData
 
     data: Any = vtkPolyData()
     data.SetPoints(points)
-    data.SetLines(_cell_array(edges))
+    data.SetLines(_make_cell_array(edges))
     return data
 
 
-def _surface_actor(data: Any, track: Track, meters: float, scale: float) -> Any:
+def _make_surface_actor(data: Any, track: Track, pixel: float, scale: float) -> Any:
     from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
 
     mapper: Any = vtkPolyDataMapper()
     mapper.SetInputData(data)
     mapper.SetColorModeToDirectScalars()
-    # pushes the surface back a little, so that lines lying on it are drawn whole
+    # pushes the surface back a little, so that lines on it are drawn whole
     mapper.SetResolveCoincidentTopologyToPolygonOffset()
     mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(1.0, 1.0)
     actor: Any = vtkActor()
     actor.SetMapper(mapper)
     look = actor.GetProperty()
     look.SetInterpolationToFlat()
-    # mostly ambient: a shaded color must still be found on the color bar; in the plane there is nothing to shade
-    look.SetAmbient(1.0 if track.dimension == 2 else 0.62)
-    look.SetDiffuse(0.0 if track.dimension == 2 else 0.50)
+    # in the plane there is nothing to shade
+    look.SetAmbient(1.0 if track.dimension == 2 else AMBIENT)
+    look.SetDiffuse(0.0 if track.dimension == 2 else DIFFUSE)
     corners = track.rest[track.faces]
-    edge_pixels = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))) / meters
-    # below some pixels an edge, the lines would cover the colors: they fade out
-    opacity = float(np.clip((edge_pixels - 3) / 15, 0.0, 1.0)) * 0.42
+    edge_pixels = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))) / pixel
+    # edges of a few pixels would hide the colors: they fade out from 18 pixels down to 3
+    opacity = float(np.clip((edge_pixels - 3) / 15, 0.0, 1.0)) * EDGE_OPACITY
     if opacity > 0:
         look.EdgeVisibilityOn()
-        look.SetEdgeColor(*EDGE_COLOUR)
+        look.SetEdgeColor(*EDGE_COLOR)
         look.SetEdgeOpacity(opacity)
         look.SetLineWidth(0.8 * scale)
     return actor
 
 
-def _line_actor(data: Any, color: tuple[float, float, float], width: float) -> Any:
+def _make_line_actor(data: Any, color: tuple[float, float, float], width: float) -> Any:
     from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
 
     mapper: Any = vtkPolyDataMapper()
@@ -173,13 +177,13 @@ def _line_actor(data: Any, color: tuple[float, float, float], width: float) -> A
     return actor
 
 
-def _renderer(camera: Camera, half_height: float) -> Any:
-    """Return a white renderer with the parallel camera and one light of its own."""
+def _make_renderer(camera: Camera, half_height: float) -> Any:
+    """Return a white renderer with the parallel camera and a light of its own."""
     from vtkmodules.vtkRenderingCore import vtkLight, vtkRenderer
 
     renderer: Any = vtkRenderer()
     renderer.SetBackground(1, 1, 1)
-    # lights made automatically or added to a plotter reach every viewport and burn the colors out
+    # automatic lights, and those of a plotter, reach every viewport and overexpose the colors
     renderer.AutomaticLightCreationOff()
     light: Any = vtkLight()
     light.SetLightTypeToCameraLight()
@@ -188,9 +192,8 @@ def _renderer(camera: Camera, half_height: float) -> Any:
     renderer.AddLight(light)
     view = renderer.GetActiveCamera()
     depth = float(camera.high[2] - camera.low[2]) + half_height
-    center: Floats = camera.center
-    view.SetFocalPoint(*center)
-    view.SetPosition(*(center + 2 * depth * camera.toward))
+    view.SetFocalPoint(*camera.center)
+    view.SetPosition(*(camera.center + 2 * depth * camera.toward))
     view.SetViewUp(*camera.up)
     view.ParallelProjectionOn()
     view.SetParallelScale(half_height)
