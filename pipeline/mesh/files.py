@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, join_names, shorten
 from pipeline.formats.meshio_reader import SIMPLICES, CellBlock
-from pipeline.formats.preflight import refusal
+from pipeline.formats.preflight import find_refusal
 from pipeline.formats.sandbox import READER
 from pipeline.mesh.cleanup import (
     check_connectivity,
@@ -56,7 +56,7 @@ def _read(path: Path) -> tuple[Floats, list[CellBlock], str]:
         raise MeshError(f"{shorten(str(path), 500)}: no such mesh file")
     if not path.stat().st_size:
         raise MeshError(f"{path}: the file is empty")
-    if why := refusal(path):
+    if why := find_refusal(path):
         raise MeshError(f"{path}: {why}")
     points, blocks, said = READER.read("pipeline.formats.meshio_reader:plain_mesh", path, error=MeshError)
     return points, blocks, said

@@ -11,12 +11,12 @@ from pipeline.errors import SolveError
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
 from pipeline.formats.atomic import write_whole
+from pipeline.formats.vtu_write import encode_static_parts, encode_vtu
 from pipeline.mesh.simplex import quality
 from pipeline.problem.methods import STEP_LIMITS
 from pipeline.problem.problem import Problem
 from pipeline.run.frame import Frame
 from pipeline.run.measures import measure, spatial
-from pipeline.series.dataset_writer import encoded
 from pipeline.stepping.state import State
 
 FILE = "failure.vtu"
@@ -88,21 +88,24 @@ class Failure:
 
     def write(self, folder: Path, message: str) -> None:
         """Write the state as failure.vtu, which no index lists; raises OutputError."""
-        import pyvista
-
         mesh, state = self.problem.body.mesh, self.state
-        kind = pyvista.CellType.TETRA if mesh.dimension == 3 else pyvista.CellType.TRIANGLE
-        grid = pyvista.UnstructuredGrid({kind: mesh.cells}, spatial(state.x))
-        grid.point_data["displacement"] = spatial(state.x - mesh.points)
-        grid.point_data["rest_position"] = spatial(mesh.points)
-        grid.point_data["velocity"] = spatial(state.v)
-        grid.point_data["speed"] = np.linalg.norm(state.v, axis=1)
-        for name in ("volume_ratio", "rotation_angle", "energy_density", "turn", "quality"):
-            grid.cell_data[name] = getattr(self, name)
-        grid.field_data["TimeValue"] = [state.step * self.problem.dt]
-        grid.field_data["step"] = [state.step]
-        grid.field_data["message"] = [message]
-        write_whole(folder / FILE, encoded(grid, folder / FILE))
+        rest = spatial(mesh.points)
+        point_data = {
+            "displacement": spatial(state.x - mesh.points),
+            "velocity": spatial(state.v),
+            "speed": np.linalg.norm(state.v, axis=1),
+        }
+        cell_data = {
+            name: getattr(self, name)
+            for name in ("volume_ratio", "rotation_angle", "energy_density", "turn", "quality")
+        }
+        field_data = {
+            "TimeValue": np.array([[state.step * self.problem.dt]]),
+            "step": np.array([[state.step]]),
+            "message": np.array([message.encode(errors="replace")]),
+        }
+        static = encode_static_parts(mesh.cells, rest)
+        write_whole(folder / FILE, encode_vtu(spatial(state.x), point_data, cell_data, field_data, static))
 
 
 def examined(problem: Problem, state: State) -> Failure:

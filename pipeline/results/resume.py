@@ -17,8 +17,8 @@ import numpy as np
 from pipeline.case import OutputSpec
 from pipeline.errors import CaseError, OutputError, SeriesError
 from pipeline.formats.atomic import whole_file
+from pipeline.formats.grid import Grid
 from pipeline.formats.netcdf import NETCDF_LOCK
-from pipeline.formats.vtk_readers import Grid
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.problem import Problem
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder

@@ -3,18 +3,18 @@
 import json
 import os
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.arrays import Floats
-from pipeline.errors import OutputError, SeriesError
+from pipeline.errors import SeriesError
 from pipeline.formats.atomic import write_whole
+from pipeline.formats.pvd import encode_pvd
+from pipeline.formats.vtu_write import encode_static_parts, encode_vtu
 from pipeline.series.dataset_layout import ATTRIBUTES, STATIC, read_mesh
 from pipeline.sinks.fields import FrameFields
-from pipeline.sinks.vtu import pvd_text, static_parts, vtu_text
 
 if TYPE_CHECKING:
     import xarray
@@ -35,15 +35,16 @@ def write_pvd_series(dataset: "xarray.Dataset", path: str | os.PathLike[str]) ->
     if strange:
         raise SeriesError(f"{path}: frames cannot hold {', '.join(strange)}; drop_vars them, or put time first")
     rest, moving = dataset["rest_position"].values, dataset.drop_vars(STATIC)
-    static, entries = static_parts(mesh.cells, rest), []
+    static, entries = encode_static_parts(mesh.cells, rest), []
     attributes = {str(name): v.attrs for name, v in dataset.variables.items()} | {"": dataset.attrs}
     first = {ATTRIBUTES: np.array([json.dumps(attributes, default=_to_json).encode()])}
     for index, (time, fields) in enumerate(_iterate_frames(moving, rest)):
         name = f"{path.stem}/frame_{index:06d}.vtu"
         numbers = first | dict(fields.numbers) if index == 0 else fields.numbers
-        write_whole(path.parent / name, vtu_text(replace(fields, numbers=numbers), static), synced=False)
+        content = encode_vtu(fields.points, fields.nodal, fields.cellular, numbers, static)
+        write_whole(path.parent / name, content, synced=False)
         entries.append((time, name))
-    write_whole(path, pvd_text(entries))
+    write_whole(path, encode_pvd(entries))
     return path
 
 
@@ -74,18 +75,3 @@ def _fits_frames(variable: "xarray.DataArray") -> bool:
 def _to_json(value: Any) -> Any:
     """Return a numpy number or array as plain Python; anything else as text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
-
-
-def encoded(grid: Any, file: Path) -> str:
-    """Return the text of a .vtu: inline base64, zlib, which every ParaView reads; raises OutputError."""
-    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
-
-    writer = vtkXMLUnstructuredGridWriter()
-    writer.SetInputData(grid)
-    writer.SetDataModeToBinary()
-    writer.SetCompressorTypeToZLib()
-    writer.SetCompressionLevel(1)
-    writer.SetWriteToOutputString(True)
-    if not writer.Write():
-        raise OutputError(f"{file}: VTK could not encode it")
-    return str(writer.GetOutputString())

@@ -7,38 +7,37 @@ from pathlib import Path
 from stat import S_ISREG
 
 from pipeline.errors import SeriesError
-from pipeline.formats import vtk_readers as grids
-from pipeline.formats.preflight import refusal
+from pipeline.formats import readers
+from pipeline.formats.grid import Grid
+from pipeline.formats.preflight import find_refusal
 from pipeline.formats.sandbox import READER
-from pipeline.formats.vtk_readers import SUFFIXES, Grid
-
-__all__ = ["SUFFIXES", "Grid", "find_fault", "read_grid", "read_times"]
+from pipeline.formats.vtu_read import read_inline
 
 
 def read_grid(file: Path, step: int = 0, *, ours: bool = False) -> Grid:
     """Return one instant of a file; raises SeriesError if it cannot be read or is not an unstructured grid."""
-    if (grid := grids.inline_grid(file)) is not None:
+    if (grid := read_inline(file)) is not None:
         return grid
     if ours:
-        return grids.read_grid(file, step)
+        return readers.read_grid(file, step)
     _check_file(file)
-    return Grid(*READER.read("pipeline.formats.vtk_readers:plain_grid", file, step, error=SeriesError))
+    return Grid(*READER.read("pipeline.formats.readers:read_plain_grid", file, step, error=SeriesError))
 
 
 def read_times(file: Path) -> list[float] | None:
     """Return the times [s] in a file, None if it has none; raises SeriesError if it cannot be read."""
-    if (grid := grids.inline_grid(file)) is not None:
+    if (grid := read_inline(file)) is not None:
         values = grid.field_data.get("TimeValue")
         return None if values is None else [float(time) for time in values.ravel()]
     _check_file(file)
-    times: list[float] | None = READER.read("pipeline.formats.vtk_readers:file_times", file, error=SeriesError)
+    times: list[float] | None = READER.read("pipeline.formats.readers:read_times", file, error=SeriesError)
     return times
 
 
 def _check_file(file: Path) -> None:
     if not isfile(file):
         raise SeriesError(f"{file}: no such file")
-    if why := refusal(file):
+    if why := find_refusal(file):
         raise SeriesError(f"{file}: {why}")
 
 

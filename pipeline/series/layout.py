@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, SeriesError, join_names, shorten
 from pipeline.formats.cell_types import CELL_TYPES
+from pipeline.formats.grid import Grid
+from pipeline.formats.readers import SUFFIXES
 from pipeline.mesh.cleanup import oriented
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
-from pipeline.series.frame_files import SUFFIXES, Grid, read_grid
+from pipeline.series.frame_files import read_grid
 
 _DISPLACEMENTS = {"displacement", "displacements", "disp", "u", "deformation"}  # compared in lower case
 # vector fields that are not displacements
@@ -117,7 +119,7 @@ def infer_layout(first: Grid, read: Callable[[int], Grid], count: int, options: 
     """
     dimension, chosen, cell_notes = _select_cells(first, where)
     displacement, displacement_notes = _choose_displacement(first, read, count, options, where)
-    cells = first.cells(CELL_TYPES[dimension], dimension + 1)
+    cells = first.select_cells(CELL_TYPES[dimension])
     rest, rest_notes = _choose_rest_points(first, displacement, options, where)
     used = np.zeros(len(rest), dtype=bool)
     used[cells] = True

@@ -1,23 +1,20 @@
 """The instants that a path names: those of an index, of numbered files in a folder, or of one file with many steps."""
 
-import json
 import re
-import xml.etree.ElementTree as ET
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from glob import has_magic
 from os.path import exists, isdir  # pathlib's raise if a name is longer than the system allows
 from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.errors import SeriesError, join_names, shorten
-from pipeline.formats.preflight import leaving, refusal
-from pipeline.series.frame_files import SUFFIXES, find_fault, read_times
+from pipeline.formats.pvd import INDEX_SUFFIXES, read_index
+from pipeline.formats.readers import SUFFIXES, TEMPORAL_SUFFIXES
+from pipeline.series.frame_files import find_fault, read_times
 from pipeline.series.run_folder import find_unlisted_frames, is_own
 
-_TEMPORAL = (".vtkhdf", ".xdmf")
 _OWN = ("series.pvd", "series.vtkhdf")
-_INDICES = (".pvd", ".series")
 
 
 class Member(NamedTuple):
@@ -81,7 +78,7 @@ def _find_index(path: Path) -> Path:
     for name in _OWN:
         if (path / name).exists():
             return path / name
-    indices = sorted(file for file in path.iterdir() if file.suffix in (*_INDICES, *_TEMPORAL))
+    indices = sorted(file for file in path.iterdir() if file.suffix in (*INDEX_SUFFIXES, *TEMPORAL_SUFFIXES))
     if len(indices) > 1:
         raise SeriesError(f"{path}: holds several series, name one: {join_names(file.name for file in indices)}")
     return indices[0] if indices else path
@@ -95,48 +92,12 @@ def _list_members(index: Path) -> tuple[list[Member], list[str]]:
         return _list_numbered(index, base.glob(str(index.relative_to(base) if index.is_absolute() else index)))
     if not exists(index):
         raise SeriesError(f"{index}: no series there (No such file or directory)")
-    if index.suffix == ".pvd":
-        return _read_index(index, _parse_pvd)
-    if index.suffix == ".series":
-        return _read_index(index, _parse_json)
-    if index.suffix in _TEMPORAL:
+    if index.suffix in INDEX_SUFFIXES:
+        return [Member(time, file) for time, file in read_index(index)], []
+    if index.suffix in TEMPORAL_SUFFIXES:
         times = read_times(index) or [0.0]
         return [Member(time, index, step) for step, time in enumerate(times)], []
     return _list_numbered(index, [index])
-
-
-def _read_index(index: Path, parse: Callable[[Path], list[Member]]) -> tuple[list[Member], list[str]]:
-    try:
-        members = parse(index)
-    except OSError as error:
-        raise SeriesError(f"{index}: no series there ({error.strerror})") from error
-    except (ET.ParseError, KeyError, ValueError, TypeError, AttributeError) as error:
-        raise SeriesError(f"{index}: not a ParaView index: {shorten(str(error), 200)}") from error
-    if not members:
-        raise SeriesError(f"{index}: it lists no frame")
-    return members, []
-
-
-def _parse_pvd(index: Path) -> list[Member]:
-    if why := refusal(index):
-        raise ValueError(why)
-    entries = ET.parse(index).getroot().findall("./Collection/DataSet")
-    parts = {entry.get("part", "0") for entry in entries}
-    if len(parts) > 1:
-        raise SeriesError(f"{index}: lists {len(parts)} parts a frame; write them as one grid (pyvista: merge)")
-    return [Member(float(entry.attrib["timestep"]), _find_file(index, entry.attrib["file"])) for entry in entries]
-
-
-def _parse_json(index: Path) -> list[Member]:
-    entries = json.loads(index.read_text(encoding="utf-8"))["files"]
-    return [Member(float(entry["time"]), _find_file(index, entry["name"])) for entry in entries]
-
-
-def _find_file(index: Path, name: str) -> Path:
-    """Return the file that an index names; raises SeriesError if it lies outside the index's folder."""
-    if why := leaving(name):
-        raise SeriesError(f"{index}: {why}")
-    return index.parent / name
 
 
 def _list_numbered(where: Path, candidates: Iterable[Path]) -> tuple[list[Member], list[str]]:

@@ -4,7 +4,7 @@ import json
 from os import sep
 from pathlib import Path
 
-from pipeline.formats import vtk_readers as grids
+from pipeline.formats import readers
 
 FRAMES = "frames"
 
@@ -32,7 +32,7 @@ def find_unlisted_frames(folder: Path, listed: int) -> list[tuple[float, Path]]:
     """
     frames: list[tuple[float, Path]] = []
     while (file := folder / FRAMES / f"frame_{listed + len(frames):06d}.vtu").is_file():
-        times = grids.file_times(file)
+        times = readers.read_times(file)
         if not times:
             break
         frames.append((times[0], file))

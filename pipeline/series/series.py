@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.arrays import Floats
+from pipeline.formats.grid import Grid
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
-from pipeline.series.frame_files import Grid, read_grid
+from pipeline.series.frame_files import read_grid
 from pipeline.series.layout import Options, SeriesLayout, infer_layout
 from pipeline.series.listing import FrameListing, Member, list_frames
 

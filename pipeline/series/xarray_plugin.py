@@ -18,10 +18,10 @@ from xarray.backends.locks import SerializableLock
 from xarray.core import indexing
 
 from pipeline.errors import SeriesError, join_names, shorten
+from pipeline.formats.grid import Grid
 from pipeline.run.measures import AXES, STEPS, attributes, spatial
 from pipeline.series.accessor import DeformationAccessor
 from pipeline.series.dataset_layout import ATTRIBUTES, STATIC, describe_field
-from pipeline.series.frame_files import Grid
 from pipeline.series.series import Series, open_series
 
 _SUFFIXES = (".pvd", ".vtu", ".pvtu", ".vtk", ".vtkhdf", ".xdmf", ".series")
@@ -77,7 +77,7 @@ class FrameStore:
 
     def _keep(self, index: int, grid: Grid) -> Grid:
         """Return the grid with the cells of the first frame, and cache it."""
-        self._cache[index] = grid = grid.sharing(self.series.layout.grid)
+        self._cache[index] = grid = grid.share_cells(self.series.layout.grid)
         self._bytes += grid.nbytes
         while len(self._cache) > 2 and self._bytes > _KEPT_BYTES:
             self._bytes -= self._cache.popitem(last=False)[1].nbytes

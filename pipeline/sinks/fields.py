@@ -1,6 +1,6 @@
-"""What a frame carries into ParaView files of every format: points, fields of nodes, cells and the body, by name.
+"""The contents of a frame in ParaView files of every format: points, and fields of nodes, cells and the body, by name.
 
-Points are where the body is NOW; `displacement` and `rest_position` lead back.
+Points are the DEFORMED positions; `displacement` and `rest_position` lead back.
 """
 
 from dataclasses import dataclass
@@ -27,13 +27,13 @@ class FrameFields:
     numbers: Fields
 
 
-def frame_fields(frame: Frame, measured: Values, precision: Precision = "float64") -> FrameFields:
-    """Return what changes from frame to frame; numbers of the body are float64 in every precision."""
+def make_frame_fields(frame: Frame, measured: Values, precision: Precision = "float64") -> FrameFields:
+    """Return everything that changes from frame to frame; numbers of the body are float64 in every precision."""
     mesh = frame.mesh
     nodal = {"displacement": frame.x - mesh.points}
     if frame.v is not None:
         nodal["velocity"] = frame.v
-    cellular = {name: measured[name] for name, one in VARIABLES.items() if one.dims == ("cell",)}
+    cellular = {name: measured[name] for name, variable in VARIABLES.items() if variable.dims == ("cell",)}
     cellular = {"volume": cellular["volume_ratio"] * mesh.rest_volumes, **cellular}
     numbers = {"TimeValue": np.array([[frame.time]])}
     if frame.step is not None:
@@ -47,6 +47,6 @@ def frame_fields(frame: Frame, measured: Values, precision: Precision = "float64
     )
 
 
-def rest_positions(mesh: Mesh, precision: Precision = "float64") -> NDArray[np.floating]:
+def make_rest_positions(mesh: Mesh, precision: Precision = "float64") -> NDArray[np.floating]:
     """Return the rest points (n, 3), the one nodal field that never changes."""
     return spatial(mesh.points).astype(precision, copy=False)

@@ -15,7 +15,7 @@ import pyvista
 from pipeline.cli import main
 from pipeline.errors import MeshError, SeriesError
 from pipeline.formats import sandbox as reader
-from pipeline.formats.preflight import leaving, refusal
+from pipeline.formats.preflight import find_outside_name, find_refusal
 from pipeline.formats.sandbox import GIGABYTES, Reader
 from pipeline.mesh.files import read_mesh
 from pipeline.series import read_series
@@ -221,7 +221,7 @@ def test_entities_in_wide_characters_are_refused(tmp_path, name, encoding):
     # U+613C is the bytes "<a" in UTF-16: not where the first element begins
     text = BOMB.replace("?>", "?><!--\u613c-->", 1) + "<VTKFile><Collection>&k;</Collection></VTKFile>"
     (tmp_path / name).write_bytes(text.encode(encoding))
-    assert "UTF-16" in (refusal(tmp_path / name) or "")
+    assert "UTF-16" in (find_refusal(tmp_path / name) or "")
 
 
 @pytest.mark.parametrize("before", ["<!-- <a> -->", "<?b <a> ?>"])
@@ -231,7 +231,7 @@ def test_entities_behind_what_is_no_element_are_refused(tmp_path, before):
     with pytest.raises(SeriesError, match="declares entities"):
         read_series(tmp_path / "it.pvd")
     (tmp_path / "it.pvd").write_text(before + '<!-- <!ENTITY --><VTKFile type="Collection"></VTKFile>')
-    assert refusal(tmp_path / "it.pvd") is None
+    assert find_refusal(tmp_path / "it.pvd") is None
 
 
 @pytest.mark.parametrize(
@@ -243,7 +243,7 @@ def test_entities_behind_what_is_no_element_are_refused(tmp_path, before):
     ],
 )  # fmt: skip
 def test_names_that_leave_the_folder(name, bad):
-    assert bool(leaving(name)) == bad
+    assert bool(find_outside_name(name)) == bad
 
 
 def test_an_index_outside_its_folder_is_refused(tmp_path):
@@ -256,9 +256,9 @@ def test_an_index_outside_its_folder_is_refused(tmp_path):
     with pytest.raises(SeriesError, match="outside its own folder"):
         read_series(tmp_path / "in" / "a.vtu.series")
     (tmp_path / "in" / "p.pvtu").write_text('<VTKFile><PUnstructuredGrid><Piece Source="../f0.vtu"/></x>')
-    assert "outside" in str(refusal(tmp_path / "in" / "p.pvtu"))
+    assert "outside" in str(find_refusal(tmp_path / "in" / "p.pvtu"))
     (tmp_path / "in" / "x.xdmf").write_text('<Xdmf><DataItem Format="HDF">\n ../x.h5:/data0</DataItem></Xdmf>')
-    assert "outside" in str(refusal(tmp_path / "in" / "x.xdmf"))
+    assert "outside" in str(find_refusal(tmp_path / "in" / "x.xdmf"))
 
 
 # From the command line
@@ -318,10 +318,10 @@ def test_meshes_of_meshio_come_over_whole(tmp_path):
     ("name", "old", "new", "words"),
     [
         ("offsets", "4 8 12", "4 9 12", r"cell 1 has 5 corners, not 4"),
-        ("offsets", "4 8 12", "4 8 999", r"the places of its 48 cells do not fit their 192 corners|cannot be read"),
-        ("types", "10 10 10", "10 99 10", r"unknown kind|cannot be read"),
-        ("connectivity", "0 ", "999999 ", r"names point 1?999999 of 27|cannot be read|the reader died"),
-        ("connectivity", "0 ", "-5 ", r"names point|cannot be read|the reader died"),
+        ("offsets", "4 8 12", "4 8 999", r"the offsets of its 48 cells do not fit their 192 corners|cannot be read"),
+        ("types", "10 10 10", "10 99 10", r"unknown type|cannot be read"),
+        ("connectivity", "0 ", "999999 ", r"refers to point 1?999999 of 27|cannot be read|the reader died"),
+        ("connectivity", "0 ", "-5 ", r"refers to point|cannot be read|the reader died"),
     ],
 )
 def test_cells_that_are_none(tmp_path, name, old, new, words):

@@ -11,9 +11,8 @@ import xarray
 from xarray.backends.locks import SerializableLock
 
 from pipeline.errors import SeriesError
-from pipeline.formats import vtk_readers as grids
-from pipeline.formats import vtu_read as inline
-from pipeline.formats.vtu_read import inline_file
+from pipeline.formats import readers, vtu_read
+from pipeline.formats.vtu_read import read_inline
 from pipeline.series import read_series
 from pipeline.series import xarray_plugin as engine
 from pipeline.series.dataset_writer import write_pvd_series
@@ -52,7 +51,7 @@ def saved(grid, path, *, mode="inline", compressor="zlib", order="little", ids=6
 
 
 def assert_same(path):
-    mine, theirs = grids.inline_grid(path), grids.read_grid(path)
+    mine, theirs = read_inline(path), readers.read_grid(path)
     assert mine is not None and mine.count == len(theirs.points)
     for name in ("points", "types", "offsets", "connectivity"):
         a, b = getattr(mine, name), getattr(theirs, name)
@@ -95,13 +94,13 @@ def test_other_writers_too(tmp_path):
 @pytest.mark.parametrize("way", [{"mode": "ascii"}, {"mode": "appended"}, {"compressor": "lz4"}])
 def test_what_is_written_otherwise_is_left_to_vtk(tmp_path, way):
     path = saved(rich(), tmp_path / "f.vtu", **way)
-    assert inline_file(path) is None and grids.read_grid(path).point_data["speed"][-1] == 1
+    assert read_inline(path) is None and readers.read_grid(path).point_data["speed"][-1] == 1
 
 
 def test_ghost_cells_pieces_and_doctypes_are_left_to_vtk(tmp_path):
     grid = rich()
     grid.cell_data["vtkGhostType"] = np.zeros(len(CELLS), dtype=np.uint8)
-    assert inline_file(saved(grid, tmp_path / "ghosts.vtu")) is None
+    assert read_inline(saved(grid, tmp_path / "ghosts.vtu")) is None
     text = saved(rich(), tmp_path / "f.vtu").read_text()
     start, end = text.index("<Piece"), text.index("</Piece>") + len("</Piece>")
     for name, changed in {
@@ -111,9 +110,9 @@ def test_ghost_cells_pieces_and_doctypes_are_left_to_vtk(tmp_path):
         "far corner": text.replace('NumberOfPoints="27"', 'NumberOfPoints="9"'),
     }.items():
         (tmp_path / f"{name}.vtu").write_text(changed)
-        assert inline_file(tmp_path / f"{name}.vtu") is None, name
+        assert read_inline(tmp_path / f"{name}.vtu") is None, name
     (tmp_path / "f.vtu").write_text(text)
-    assert inline_file(tmp_path / "f.vtu") is not None
+    assert read_inline(tmp_path / "f.vtu") is not None
 
 
 def long_text(text):
@@ -135,11 +134,11 @@ def test_numbers_are_found_whatever_xml_stands_about_them(tmp_path, monkeypatch)
     for name, changed in ways.items():  # VTK itself stumbles on some of these
         assert changed != text
         (tmp_path / f"{name}.vtu").write_text(changed)
-        found = inline_file(tmp_path / f"{name}.vtu").sections[1]["stress"]
+        found = read_inline(tmp_path / f"{name}.vtu").cell_data["stress"]
         np.testing.assert_array_equal(found, rich().cell_data["stress"])
     parsed = []
-    plain = inline.ElementTree.fromstring
-    monkeypatch.setattr(inline.ElementTree, "fromstring", lambda content: parsed.append(content) or plain(content))
+    plain = vtu_read.ElementTree.fromstring
+    monkeypatch.setattr(vtu_read.ElementTree, "fromstring", lambda content: parsed.append(content) or plain(content))
     (tmp_path / "f.vtu").write_text(text)
     assert_same(tmp_path / "f.vtu")
     assert text[first : first + 300].encode() not in parsed[0]
@@ -154,9 +153,9 @@ def test_what_stands_for_a_text_is_not_taken_from_the_file(tmp_path, said):
     at = long_text(text)
     before, after = text[:at], text[text.index("<", at) :]
     other = after[after.index(">", after.index('Name="other"')) + 1 :].split("<")[0].strip()
-    (place,) = (k for k, one in inline._without_texts((before + after).encode())[1].items() if one == other.encode())
+    (place,) = (k for k, one in vtu_read._take_out_texts((before + after).encode())[1].items() if one == other.encode())
     (tmp_path / "f.vtu").write_text(before + said.replace("K", place.decode()[1:]) + after)
-    assert inline_file(tmp_path / "f.vtu") is None
+    assert read_inline(tmp_path / "f.vtu") is None
 
 
 def test_many_attributes_take_little_memory(tmp_path):
@@ -164,7 +163,7 @@ def test_many_attributes_take_little_memory(tmp_path):
     attributes = ' a=""' * 200_000  # which no parser takes
     (tmp_path / "f.vtu").write_text(f'<?xml version="1.0"?><VTKFile{attributes}>{"A" * 300}</VTKFile>')
     tracemalloc.start()
-    assert inline_file(tmp_path / "f.vtu") is None
+    assert read_inline(tmp_path / "f.vtu") is None
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 20 * (tmp_path / "f.vtu").stat().st_size
@@ -177,7 +176,7 @@ def test_arrays_of_no_components_are_left_to_vtk(tmp_path, name):
     end = text.index(">", start)
     none = text[start:end].replace(' NumberOfComponents="3"', "") + ' NumberOfComponents="0"'
     (tmp_path / "f.vtu").write_text(text[:start] + none + text[end:])
-    assert inline_file(tmp_path / "f.vtu") is None
+    assert read_inline(tmp_path / "f.vtu") is None
     if name == "Points":
         with pytest.raises(SeriesError, match=r"f\.vtu: cannot be read \("):
             read_series(tmp_path / "f.vtu")
@@ -190,15 +189,15 @@ def test_cells_that_are_no_integers_are_left_to_vtk(tmp_path):
     changed = text.replace('"Int64" IdType="1" Name="conn', '"Float64" Name="conn')
     assert changed != text
     (tmp_path / "f.vtu").write_text(changed)
-    assert inline_file(tmp_path / "f.vtu") is None
+    assert read_inline(tmp_path / "f.vtu") is None
 
 
 def test_one_text_does_not_make_all_of_them_long(tmp_path, monkeypatch):
-    words = grids.inline_grid(saved(rich(), tmp_path / "f.vtu")).field_data
+    words = read_inline(saved(rich(), tmp_path / "f.vtu")).field_data
     longest = 4 * 2 * len("words <&>")
-    monkeypatch.setattr(inline, "_LEAST_BYTES", longest)
+    monkeypatch.setattr(vtu_read, "_LEAST_BYTES", longest)
     assert words["words"].nbytes == longest
-    monkeypatch.setattr(inline, "_LEAST_BYTES", longest - 1)
+    monkeypatch.setattr(vtu_read, "_LEAST_BYTES", longest - 1)
     with pytest.raises(SeriesError, match="2 texts that differ too much"):
         words["words"]
 
@@ -212,7 +211,7 @@ def test_what_makes_no_sense_is_told_in_one_line(tmp_path, old, new):
     changed = text.replace(old, new, 1).replace('Components="3"', 'Components="-3"')
     assert old in text
     (tmp_path / "f.vtu").write_text(changed)
-    assert inline_file(tmp_path / "f.vtu") is None
+    assert read_inline(tmp_path / "f.vtu") is None
     with pytest.raises(SeriesError, match=r"f\.vtu: .+") as caught:
         read_series(tmp_path / "f.vtu")
     assert "\n" not in str(caught.value)
@@ -220,18 +219,18 @@ def test_what_makes_no_sense_is_told_in_one_line(tmp_path, old, new):
 
 def test_more_than_the_memory_is_for_the_guarded_child(tmp_path, monkeypatch):
     path = saved(rich(), tmp_path / "f.vtu")
-    monkeypatch.setattr(inline, "_LEAST_BYTES", 1000)
-    monkeypatch.setattr(inline, "_BYTES_PER_BYTE", 0)
-    assert inline_file(path) is None
+    monkeypatch.setattr(vtu_read, "_LEAST_BYTES", 1000)
+    monkeypatch.setattr(vtu_read, "_BYTES_PER_BYTE", 0)
+    assert read_inline(path) is None
 
 
 def test_a_large_file_is_left_to_the_guarded_child_unread(tmp_path, monkeypatch):
     path = saved(rich(), tmp_path / "f.vtu")
-    monkeypatch.setattr(inline, "_LARGEST", path.stat().st_size)
-    assert inline_file(path) is not None
-    monkeypatch.setattr(inline, "_LARGEST", path.stat().st_size - 1)
-    monkeypatch.setattr(inline.ElementTree, "fromstring", lambda _: pytest.fail("read"))
-    assert inline_file(path) is None
+    monkeypatch.setattr(vtu_read, "_LARGEST", path.stat().st_size)
+    assert read_inline(path) is not None
+    monkeypatch.setattr(vtu_read, "_LARGEST", path.stat().st_size - 1)
+    monkeypatch.setattr(vtu_read.ElementTree, "fromstring", lambda _: pytest.fail("read"))
+    assert read_inline(path) is None
     assert read_grid(path).point_data["speed"][-1] == 1
 
 
@@ -239,16 +238,16 @@ def test_a_large_file_is_left_to_the_guarded_child_unread(tmp_path, monkeypatch)
 def test_elements_without_number_are_left_to_the_guarded_child(tmp_path, monkeypatch, many):
     path = saved(rich(), tmp_path / "f.vtu")
     path.write_text(path.read_text().replace("<PointData", many + "<PointData", 1))
-    assert inline_file(path) is not None
-    monkeypatch.setattr(inline, "_MOST_MARKS", 250_000)
-    assert inline_file(path) is None
+    assert read_inline(path) is not None
+    monkeypatch.setattr(vtu_read, "_MOST_MARKS", 250_000)
+    assert read_inline(path) is None
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
 def test_entities_in_wide_characters_are_not_read_inline(tmp_path, encoding):
     text = saved(rich(), tmp_path / "f.vtu").read_text().partition("?>")[2].replace('Name="speed"', 'Name="&b;"')
     (tmp_path / "f.vtu").write_bytes(f'<!DOCTYPE a [<!ENTITY b "c">]>{text}'.encode(encoding))
-    assert inline_file(tmp_path / "f.vtu") is None
+    assert read_inline(tmp_path / "f.vtu") is None
     with pytest.raises(SeriesError, match="UTF-16"):
         read_grid(tmp_path / "f.vtu")
 
@@ -261,14 +260,14 @@ def numbers(grid):
 def test_damage_is_told_and_never_taken_for_numbers(tmp_path):
     """Any byte changed: refused, left to VTK, or the very numbers (as in names and spaces)."""
     content = saved(rich(), tmp_path / "f.vtu", header=64).read_bytes()
-    whole = numbers(grids.inline_grid(tmp_path / "f.vtu"))
+    whole = numbers(read_inline(tmp_path / "f.vtu"))
     rng, refused = random.Random(3), 0
     for _ in range(300):
         changed = bytearray(content)
         changed[rng.randrange(len(changed))] = rng.randrange(256)
         (tmp_path / "bad.vtu").write_bytes(changed)
         try:
-            grid = grids.inline_grid(tmp_path / "bad.vtu")
+            grid = read_inline(tmp_path / "bad.vtu")
             read = {} if grid is None else numbers(grid)
         except SeriesError as error:
             assert str(error).startswith(str(tmp_path / "bad.vtu")) and "\n" not in str(error)
@@ -295,8 +294,8 @@ def test_a_damaged_field_costs_only_who_asks_for_it(tmp_path):
 
 def test_all_fields_cost_one_reading_of_each_frame(tmp_path, monkeypatch):
     counts = []
-    read = inline._read
-    monkeypatch.setattr(inline, "_read", lambda file: counts.append(file.name) or read(file))
+    read = vtu_read._parse_file
+    monkeypatch.setattr(vtu_read, "_parse_file", lambda file: counts.append(file.name) or read(file))
     source = written(tmp_path, numbers=True)
     opened(source).load()
     assert counts.count("f1.vtu") <= 2  # once to see whether the points move

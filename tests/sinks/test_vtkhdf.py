@@ -19,7 +19,7 @@ from pipeline.errors import OutputError
 from pipeline.run.measures import VARIABLES, measure, spatial
 from pipeline.series.xarray_plugin import SeriesBackend
 from pipeline.sinks import frame_formats as formats
-from pipeline.sinks.fields import frame_fields
+from pipeline.sinks.fields import make_frame_fields
 from pipeline.sinks.vtkhdf import VtkhdfSink
 from pipeline.sinks.vtu import VtuSink
 from tests.bodies import PLANAR, write_case
@@ -52,7 +52,7 @@ def test_vtk_finds_every_frame_and_field_as_in_the_vtu(given, tmp_path, room, pr
     series, other = read_series(tmp_path), read_series(tmp_path / "vtu")
     assert series.times == other.times == tuple(frame.time for frame in given) and series.notes == ()
     for i, frame in enumerate(given):
-        grid, fields = read(tmp_path / "series.vtkhdf", i), frame_fields(frame, measure(frame), precision)
+        grid, fields = read(tmp_path / "series.vtkhdf", i), make_frame_fields(frame, measure(frame), precision)
         points = vtk_to_numpy(grid.GetPoints().GetData())
         assert points.dtype == precision and np.array_equal(points, fields.points)
         wanted = {**fields.nodal, "rest_position": spatial(frame.mesh.points).astype(precision)}

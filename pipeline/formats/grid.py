@@ -1,0 +1,77 @@
+"""One recorded instant as plain arrays, whichever file it was read from."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Fields, Floats, Ints
+from pipeline.formats.cell_types import CORNERS
+
+
+class LazyArrays(Mapping[str, NDArray[Any]]):
+    """Arrays by name, each decoded anew on every access, which raises SeriesError if it fails.
+
+    `nbytes` is the memory that the encoded arrays take.
+    """
+
+    def __init__(self, decoders: Mapping[str, Callable[[], NDArray[Any]]], nbytes: int) -> None:
+        self._decoders, self.nbytes = decoders, nbytes
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._decoders[name]()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._decoders)
+
+    def __len__(self) -> int:
+        return len(self._decoders)
+
+    def __repr__(self) -> str:
+        return f"LazyArrays({', '.join(self._decoders)})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Grid:
+    """Points (n, 3), cells in VTK's layout (types, offsets, connectivity) and the fields of one instant.
+
+    `stored_points` are the points, or LazyArrays with the entry Points; `count` is the number of points.
+    """
+
+    stored_points: Floats | LazyArrays
+    count: int
+    types: NDArray[np.uint8]
+    offsets: Ints
+    connectivity: Ints
+    point_data: Fields
+    cell_data: Fields
+    field_data: Fields
+
+    @property
+    def points(self) -> Floats:
+        """The points (n, 3)."""
+        if isinstance(self.stored_points, LazyArrays):
+            return self.stored_points["Points"].astype(np.float64, copy=False)
+        return self.stored_points
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the points and fields; cells are not counted, because share_cells lets frames share them."""
+        fields = (self.point_data, self.cell_data, self.field_data)
+        sizes = (f.nbytes if isinstance(f, LazyArrays) else sum(a.nbytes for a in f.values()) for f in fields)
+        return self.stored_points.nbytes + sum(sizes)
+
+    def share_cells(self, other: "Grid") -> "Grid":
+        """Return this grid with the cell arrays of another, which must be equal, so that memory holds them once."""
+        return replace(self, types=other.types, offsets=other.offsets, connectivity=other.connectivity)
+
+    def select_cells(self, cell_type: int) -> Ints:
+        """Return the cells of one VTK type with a fixed number of corners (e, corners)."""
+        starts = self.offsets[:-1][self.types == cell_type]
+        return self.connectivity[starts[:, None] + np.arange(CORNERS[cell_type])]
+
+    def __repr__(self) -> str:
+        names = ", ".join([*self.point_data, *self.cell_data, *self.field_data])
+        return f"Grid({self.count} points, {len(self.types)} cells: {names})"
