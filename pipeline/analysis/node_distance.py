@@ -1,6 +1,6 @@
-"""How far the nodes of several series are apart: their differences to the first one, at common times.
+"""Distances between the nodes of several series and those of the first one, at common times.
 
-Between two frames nodes are taken to move along the chord. Frames are read one after the other, and written at once.
+Between two frames nodes are assumed to move along the chord. Frames are read and written one after the other.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,11 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.arrays import Floats
+from pipeline.formats.netcdf import NetcdfVariable, add_variables
 from pipeline.run.measures import spatial
 from pipeline.series.series import Series
+from pipeline.system.times import are_same_times
 
 # unit, dimensions after (variant, time), and meaning
-VARIABLES = {
+_VARIABLES = {
     "displacement_difference": ("m", ("node", "axis"), "displacement"),
     "velocity_difference": ("m s-1", ("node", "axis"), "velocity"),
     "node_distance_worst": ("m", (), "largest distance of a node"),
@@ -22,7 +24,7 @@ VARIABLES = {
 
 
 class NodeDistance(NamedTuple):
-    """A series beside the first one: the largest distance of a node, where and when, and the largest RMS distance."""
+    """The largest distance of a node of a series from the first series, its node and time, and the largest RMS."""
 
     name: str
     worst: float
@@ -32,50 +34,50 @@ class NodeDistance(NamedTuple):
     rms_time: float
 
 
-class Nodes:
+class NodeMotion:
     """Positions and velocities of a series at any time within it; the last two frames are kept."""
 
     def __init__(self, series: Series) -> None:
         self.series = series
         self._times = np.asarray(series.times)
-        self._kept: dict[int, tuple[Floats, Floats | None]] = {}
+        self._frames: dict[int, tuple[Floats, Floats | None]] = {}
 
-    def at(self, time: float) -> tuple[Floats, Floats | None]:
+    def interpolate(self, time: float) -> tuple[Floats, Floats | None]:
         """Return x (n, d) and v (n, d) or None, interpolated linearly between the frames around a time [s]."""
         i = int(np.clip(np.searchsorted(self._times, time, side="right") - 1, 0, max(0, len(self._times) - 2)))
-        needed = [i] if len(self._times) == 1 else [i, i + 1]
-        share = 0.0 if len(needed) == 1 else (time - self._times[i]) / (self._times[i + 1] - self._times[i])
-        if round(share, 9) in (0.0, 1.0):  # at a frame: i * dt of another dt is rounded otherwise
-            return self._frames([needed[round(share)]])[0]
-        (x, v), (after_x, after_v) = self._frames(needed)
+        for j in range(i, min(i + 2, len(self._times))):
+            if len(self._times) == 1 or are_same_times(time, self._times[j]):
+                return self._read_frames([j])[0]
+        (x, v), (after_x, after_v) = self._read_frames([i, i + 1])
+        share = (time - self._times[i]) / (self._times[i + 1] - self._times[i])
         between = None if v is None or after_v is None else (1 - share) * v + share * after_v
         return (1 - share) * x + share * after_x, between
 
-    def _frames(self, needed: list[int]) -> list[tuple[Floats, Floats | None]]:
-        kept = {i: self._kept[i] for i in needed if i in self._kept}
-        for i in needed:
-            if i not in kept:
+    def _read_frames(self, indices: list[int]) -> list[tuple[Floats, Floats | None]]:
+        frames = {i: self._frames[i] for i in indices if i in self._frames}
+        for i in indices:
+            if i not in frames:
                 frame = self.series.read_frame(i)
-                kept[i] = frame.x, frame.v
-        self._kept = kept
-        return [kept[i] for i in needed]
+                frames[i] = frame.x, frame.v
+        self._frames = frames
+        return [frames[i] for i in indices]
 
 
 def write_node_distances(
     out: Any, series: Sequence[Series], times: Floats, on_time: Callable[[int, int], None] | None = None
 ) -> tuple[NodeDistance, ...]:
-    """Add the differences of nodes to a netCDF4 dataset with (variant, time, axis); return each one's but the first's.
+    """Add the differences of nodes to a netCDF4 dataset with (variant, time, axis); return those of series[1:].
 
-    All series have the cells of the first. Velocities are there where the first and one more have them, NaN for those
-    that have none. `on_time(done, times)` is called after each time.
+    All series have the cells of the first. Velocities are compared if the first and another series have them, and are
+    NaN for a series without. `on_time(done, times)` is called after each time.
     """
-    nodes, first = [Nodes(one) for one in series], series[0]
-    moving = [one.at(float(times[0]))[1] is not None for one in nodes]
-    names = [name for name in VARIABLES if name != "velocity_difference" or (moving[0] and any(moving[1:]))]
-    _create(out, names, first)
-    found: dict[str, NodeDistance] = {}
+    motions, first = [NodeMotion(one) for one in series], series[0]
+    moving = [motion.interpolate(float(times[0]))[1] is not None for motion in motions]
+    names = [name for name in _VARIABLES if name != "velocity_difference" or (moving[0] and any(moving[1:]))]
+    _create_variables(out, names, first)
+    largest: dict[str, NodeDistance] = {}
     for k, time in enumerate(times.tolist()):
-        states = [one.at(time) for one in nodes]
+        states = [motion.interpolate(time) for motion in motions]
         x0, v0 = states[0]
         for m, (one, (x, v)) in enumerate(zip(series, states, strict=True)):
             distance = np.linalg.norm(x - x0, axis=1)
@@ -87,24 +89,25 @@ def write_node_distances(
             for name in names:
                 out[name][m, k] = row[name]
             now = NodeDistance(one.name, float(distance[worst]), one.layout.find_point(worst), time, rms, time)
-            found[one.name] = _larger(found.get(one.name, now), now)
+            largest[one.name] = _take_larger(largest.get(one.name, now), now)
         if on_time is not None:
             on_time(k + 1, len(times))
-    return tuple(found[one.name] for one in series[1:])
+    return tuple(largest[one.name] for one in series[1:])
 
 
-def _create(out: Any, names: list[str], first: Series) -> None:
-    """Create dimension and variables."""
-    out.createDimension("node", len(first.mesh.points))
+def _create_variables(out: Any, names: list[str], first: Series) -> None:
+    """Create the dimension of nodes and the variables."""
+    nodes, variables = len(first.mesh.points), {}
     for name in names:
-        unit, dims, meaning = VARIABLES[name]
-        sizes = [1, 1, *(len(out.dimensions[dim]) for dim in dims)] if dims else None
-        variable = out.createVariable(name, "f8", ("variant", "time", *dims), chunksizes=sizes)
-        ending = "less that" if dims else "from that"
-        variable.setncatts({"units": unit, "long_name": f"{meaning}, {ending} of {first.name}"})
+        unit, dims, meaning = _VARIABLES[name]
+        relation = "less that of" if dims else "from that of"
+        attributes = {"units": unit, "long_name": f"{meaning}, {relation} {first.name}"}
+        chunks = (1, 1, nodes, 3) if dims else (1, len(out.dimensions["time"]))
+        variables[name] = NetcdfVariable(("variant", "time", *dims), attributes, chunks=chunks, fill_value=np.nan)
+    add_variables(out, {"node": nodes}, variables)
 
 
-def _larger(before: NodeDistance, now: NodeDistance) -> NodeDistance:
-    """Return the larger of two, worst and RMS each for itself."""
-    worst, rms = max(now, before, key=lambda one: one.worst), max(now, before, key=lambda one: one.rms)
+def _take_larger(before: NodeDistance, now: NodeDistance) -> NodeDistance:
+    """Return the larger of two, with the larger RMS of the two."""
+    worst, rms = max(now, before, key=lambda d: d.worst), max(now, before, key=lambda d: d.rms)
     return worst._replace(rms=rms.rms, rms_time=rms.rms_time)

@@ -49,7 +49,7 @@ def _analyze(options: argparse.Namespace) -> int:
         say(f"note: {note}")
     if not options.quiet:
         worst = f"{found.worst_volume_ratio:.4f} (cell {found.worst_cell}, t = {found.worst_time:.4g} s)"
-        print(f"{found.name}: {found.frames} frames; worst volume ratio {worst}", *found.made, sep="\n  ")
+        print(f"{found.name}: {found.frames} frames; worst volume ratio {worst}", *found.files, sep="\n  ")
     _report(options, found, [series], ["analyze", options.series])
     return 0
 
@@ -70,7 +70,7 @@ def _compare(options: argparse.Namespace) -> int:
     for note in found.notes:
         say(f"note: {note}")
     if not options.quiet:
-        print(*found.made, sep="\n")
+        print(*found.files, sep="\n")
         for one in found.node_distances:
             worst = f"{one.worst:.4g} m (node {one.node}, t = {one.time:.4g} s)"
             print(f"{one.name}: nodes up to {worst} from {found.analyses[0].name}; RMS up to {one.rms:.4g} m")

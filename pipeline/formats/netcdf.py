@@ -23,7 +23,7 @@ class NetcdfVariable(NamedTuple):
     """A variable or coordinate to create: float64 without compression unless `dtype` says otherwise.
 
     `chunks` are the sizes of a chunk along each dimension; without them the library chooses. `values`, if given, are
-    written at once.
+    written at once. Values that are never written read as `fill_value`.
     """
 
     dims: tuple[str, ...]
@@ -31,6 +31,7 @@ class NetcdfVariable(NamedTuple):
     values: "ArrayLike | None" = None
     chunks: tuple[int, ...] | None = None
     dtype: Any = "f8"
+    fill_value: float | None = None
 
 
 def add_variables(dataset: Any, sizes: Mapping[str, int | None], variables: Mapping[str, NetcdfVariable]) -> None:
@@ -38,7 +39,9 @@ def add_variables(dataset: Any, sizes: Mapping[str, int | None], variables: Mapp
     for name, size in sizes.items():
         dataset.createDimension(name, size)
     for name, variable in variables.items():
-        dataset.createVariable(name, variable.dtype, variable.dims, chunksizes=variable.chunks)
+        dataset.createVariable(
+            name, variable.dtype, variable.dims, chunksizes=variable.chunks, fill_value=variable.fill_value
+        )
     for name, variable in variables.items():
         if variable.values is not None:
             dataset[name][:] = variable.values

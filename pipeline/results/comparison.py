@@ -1,14 +1,13 @@
 """Every finished variant of a case side by side: comparison.nc, plots and the movie."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.analysis.statistics import joined
+from pipeline.analysis.compare import join_variants
 from pipeline.case import Case, load_case
 from pipeline.errors import OutputError, join_names
-from pipeline.formats.netcdf import read_dataset, write_dataset
+from pipeline.formats.netcdf import open_dataset
 from pipeline.problem.problem import resolve_mass
 from pipeline.results.variant import UNFINISHED, determining, read_run
 from pipeline.series import read_series
@@ -44,18 +43,18 @@ def compare(
     for stale in (*DRAWN, _EFFORT):
         (folder / stale).unlink(missing_ok=True)
     title = case.movie.title or case.name.replace("_", " ")
-    statistics = {name: read_dataset(folder / name / "statistics.nc") for name in usable}
-    dataset, notes = joined(statistics, title=title)
-    write_dataset(dataset, paths["comparison.nc"])
+    statistics = {name: folder / name / "statistics.nc" for name in usable}
+    notes = list(join_variants(statistics, paths["comparison.nc"], title=title))
     from pipeline.views.plots import write_effort_figure, write_energy_figure, write_volume_figure
 
-    write_volume_figure(dataset, paths["volume.png"], title=title)
-    write_energy_figure(dataset, paths["energy.png"], title=title)
     made = [paths["comparison.nc"], paths["volume.png"], paths["energy.png"]]
-    if chosen := {name: one for name, one in statistics.items() if one.sizes.get("step")}:
-        write_effort_figure(chosen, folder / _EFFORT, title="The model that each step needed")
+    if numbers := {name: steps for name in usable if (steps := _read_steps(statistics[name])).sizes.get("step")}:
+        write_effort_figure(numbers, folder / _EFFORT, title="The model that each step needed")
         made.append(folder / _EFFORT)
-    made.append(_paraview(folder, dataset, {n: str(run["case"]["output"]["format"]) for n, run in runs.items()}))
+    with open_dataset(paths["comparison.nc"]) as dataset:
+        write_volume_figure(dataset, paths["volume.png"], title=title)
+        write_energy_figure(dataset, paths["energy.png"], title=title)
+        made.append(_paraview(folder, dataset, {n: str(run["case"]["output"]["format"]) for n, run in runs.items()}))
     shown = [name for name in case.movie.variants if name in usable]
     if movie and shown:
         try:
@@ -64,6 +63,12 @@ def compare(
         except OutputError as error:
             notes.append(str(error))
     return made, notes
+
+
+def _read_steps(path: Path) -> "xarray.Dataset":
+    """Return the numbers of each step in a statistics.nc; none unless a variant has model = "auto"."""
+    with open_dataset(path) as dataset:
+        return dataset.drop_dims("time").load()
 
 
 def _paraview(folder: Path, dataset: "xarray.Dataset", formats: Mapping[str, str]) -> Path:
@@ -83,7 +88,7 @@ def draw_movie(
 
     path = folder / "comparison.mp4"
     write_movie(
-        [replace(read_series(folder / name), name=name) for name in shown],
+        [read_series(folder / name, name) for name in shown],
         [name.replace("_", " ") for name in shown],
         path,
         title=case.movie.title or case.name.replace("_", " "),

@@ -86,7 +86,7 @@ def report_of_analysis(found: Analysis | Comparison, series: Sequence[Series], c
     closing += [Heading(_AGAIN), CodeListing(command), Paragraph(f"Measured by pipeline {VERSION}.")]
     result = PageContent(
         ", ".join(side.label for side in sides), sides, closing, found.notes,
-        movie if movie in found.made else None, poster if poster in found.made else None,
+        movie if movie in found.files else None, poster if poster in found.files else None,
     )  # fmt: skip
     return write_page(result, found.folder / REPORT)
 

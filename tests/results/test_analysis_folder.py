@@ -7,11 +7,11 @@ import pytest
 import pyvista
 import xarray
 
-from pipeline.analysis.statistics import series_statistics
 from pipeline.errors import SeriesError
 from pipeline.results.analysis_folder import analyze, compare
 from pipeline.series import read_series
 from tests.bodies import assert_conventional, without_figures
+from tests.measured import measure_series
 from tests.series.test_series import CELLS, GROWTH, POINTS, TIMES, grid_at, moved, pvd, written
 
 
@@ -26,15 +26,15 @@ def test_an_analysis_is_the_dataset_of_the_series(tmp_path):
     seen = []
     source = written(tmp_path)
     result = analyze(source, tmp_path / "out", on_frame=lambda *args: seen.append(args))
-    assert [path.name for path in result.made] == ["statistics.nc", "volume.png"]
-    assert all(path.stat().st_size for path in result.made)
+    assert [path.name for path in result.files] == ["statistics.nc", "volume.png"]
+    assert all(path.stat().st_size for path in result.files)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["statistics.nc", "volume.png"]
     assert seen == [(tmp_path.name, i + 1, 3) for i in range(3)]
     assert result.worst_volume_ratio == pytest.approx((1 + GROWTH * TIMES[-1]) ** 3)
     assert (result.frames, result.worst_time) == (3, TIMES[-1])
-    with xarray.open_dataset(result.made[0]) as dataset:
+    with xarray.open_dataset(result.files[0]) as dataset:
         assert_conventional(dataset)
-        xarray.testing.assert_equal(dataset, series_statistics(read_series(source)))
+        xarray.testing.assert_equal(dataset, measure_series(read_series(source)))
 
 
 def test_what_not_every_frame_says_is_nan_there(tmp_path, monkeypatch):
@@ -45,7 +45,7 @@ def test_what_not_every_frame_says_is_nan_there(tmp_path, monkeypatch):
             grid.field_data["kinetic_energy"] = [2.0]
         grid.save(tmp_path / f"f{i}.vtu")
     result = analyze(pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)]), tmp_path / "out")
-    with xarray.open_dataset(result.made[0]) as dataset:
+    with xarray.open_dataset(result.files[0]) as dataset:
         np.testing.assert_equal(dataset["kinetic_energy"].values, [2.0, np.nan, 2.0])
 
 
@@ -88,13 +88,13 @@ def test_series_side_by_side(tmp_path):
     a = series_at(tmp_path / "a", TIMES, "a")
     b = series_at(tmp_path / "b", TIMES, "a", grow=lambda t: 2 * t)
     result = compare([a, b], tmp_path / "out", difference=True)
-    assert [path.name for path in result.made] == ["comparison.nc", "volume.png", "distance.png"]
-    with xarray.open_dataset(result.made[0]) as dataset:
+    assert [path.name for path in result.files] == ["comparison.nc", "volume.png", "distance.png"]
+    with xarray.open_dataset(result.files[0]) as dataset:
         assert_conventional(dataset)
         assert dataset["variant"].values.tolist() == ["a", "a_2"]
         assert dataset["volume_ratio"].dims == ("variant", "time", "cell")
         for name, one in (("a", a), ("a_2", b)):
-            own = series_statistics(one)
+            own = measure_series(one)
             for variable in own.data_vars:
                 mine = (
                     dataset[variable].sel(variant=name, drop=True) if variable != "rest_volume" else dataset[variable]
@@ -124,7 +124,7 @@ def test_differences_of_the_nodes(tmp_path):
     result = compare([a, b, c], tmp_path / "out", difference=True, on_frame=lambda *args: seen.append(args))
     assert seen[-3:] == [("difference of nodes", k, 3) for k in (1, 2, 3)]
     far = np.linalg.norm(POINTS, axis=1)
-    with xarray.open_dataset(result.made[0]) as dataset:
+    with xarray.open_dataset(result.files[0]) as dataset:
         assert_conventional(dataset)
         apart = dataset["displacement_difference"]
         assert apart.dims == ("variant", "time", "node", "axis") and apart.attrs["units"] == "m"
@@ -142,7 +142,7 @@ def test_differences_of_the_nodes(tmp_path):
     assert (one.time, one.rms_time) == (0.1, 0.1) and one.rms == pytest.approx(one.worst * rms[1, 1] / worst[1, 1])
     without = compare([a, b], tmp_path / "without")
     assert without.node_distances == ()
-    with xarray.open_dataset(without.made[0]) as dataset:
+    with xarray.open_dataset(without.files[0]) as dataset:
         assert "node" not in dataset.dims
 
 
@@ -152,7 +152,7 @@ def test_differences_of_nodes_between_frames(tmp_path, monkeypatch):
     b = swinging(tmp_path / "b", [0.0, 0.1 + 0.2, 0.6, 0.8, 1.2], "b", lambda t: t, lambda t: t**2)
     result = compare([b, a], tmp_path / "out", difference=True)
     assert any("on the chord" in note for note in result.notes)
-    with xarray.open_dataset(result.made[0]) as dataset:
+    with xarray.open_dataset(result.files[0]) as dataset:
         assert dataset["time"].values == pytest.approx([0, 0.3, 0.9])
         assert dataset["node_distance_worst"].values == pytest.approx(0, abs=1e-14)
         chord = 0.75 * 0.8**2 + 0.25 * 1.2**2
@@ -165,7 +165,7 @@ def test_other_times_are_interpolated_and_that_is_said(tmp_path, monkeypatch):
     b = series_at(tmp_path / "b", [0.0, 0.5, 1.5, 2.5], "b")
     result = compare([a, b], tmp_path / "out")
     assert any("has the 3 of a from 0 to 2 s" in note and "interpolated" in note for note in result.notes)
-    with xarray.open_dataset(result.made[0]) as dataset:
+    with xarray.open_dataset(result.files[0]) as dataset:
         assert dataset["time"].values.tolist() == [0.0, 1.0, 2.0]
         between = ((1 + GROWTH * 0.5) ** 3 + (1 + GROWTH * 1.5) ** 3) / 2
         assert dataset["volume_ratio"].sel(variant="b", time=1.0).values == pytest.approx(between)
@@ -183,7 +183,7 @@ def test_other_cells_are_compared_as_whole_bodies(tmp_path, monkeypatch):
         pyvista.UnstructuredGrid({10: CELLS[:-1]}, moved(t)).save(tmp_path / "b" / f"f{i}.vtu")
     b = read_series(pvd(tmp_path / "b", [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)]), name="b")
     result = compare([a, b], tmp_path / "out")
-    with xarray.open_dataset(result.made[0]) as dataset:
+    with xarray.open_dataset(result.files[0]) as dataset:
         assert "volume_ratio" not in dataset and "cell" not in dataset.dims
         drift = [(1 + GROWTH * t) ** 3 - 1 for t in TIMES]
         assert dataset["volume_drift"].values == pytest.approx(np.array([drift, drift]))
@@ -200,6 +200,6 @@ def test_movies(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.results.analysis_folder._DRAWN_FRAMES", 3)
     a, b = (series_at(tmp_path / name, [0.0, 100.0, 200.0, 300.0], name, lambda t: t / 500) for name in "ab")
     result = compare([a, b], tmp_path / "out", movie=True)
-    assert [path.name for path in result.made[-2:]] == ["movie.mp4", "movie.png"]
+    assert [path.name for path in result.files[-2:]] == ["movie.mp4", "movie.png"]
     assert "movie.mp4 shows 3 of the 4 frames of a" in result.notes
-    assert all(path.stat().st_size > 1000 for path in result.made[-2:])
+    assert all(path.stat().st_size > 1000 for path in result.files[-2:])

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import xarray
 
-from pipeline.analysis.statistics import series_statistics
 from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.errors import CaseError
@@ -29,6 +28,7 @@ from pipeline.series import read_series
 from pipeline.stepping.bdf2 import BDF2
 from pipeline.stepping.state import State
 from tests.bodies import PLANAR, case_document, without_figures, write_case
+from tests.measured import measure_series
 
 ONE = {"only": {}}
 EXPLICIT = {"stepper": "symplectic_euler", "mass": "lumped"}
@@ -458,7 +458,7 @@ def test_complete_frames_that_the_index_does_not_list_yet_are_read(tmp_path, mon
     assert (folder / "series.pvd").read_text().count("<DataSet") == 2
     again = read_series(folder)
     assert again.times == whole.times and again.files == whole.files and again.notes == whole.notes
-    xarray.testing.assert_identical(series_statistics(again), series_statistics(whole))
+    xarray.testing.assert_identical(measure_series(again), measure_series(whole))
     (folder / "frames/frame_000002.vtu").unlink()  # behind a gap nothing is taken
     assert len(read_series(folder)) == 2
     (folder / "run.json").unlink()  # of others only what their index says

@@ -15,7 +15,6 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridReader
 
 from pipeline import build, frames, load_case, read_series, record
-from pipeline.analysis.statistics import series_statistics
 from pipeline.errors import OutputError, SeriesError
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.netcdf import read_dataset
@@ -23,6 +22,7 @@ from pipeline.run.measures import QUANTILES, VARIABLES, measure, spatial
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.vtu import VtuSink
 from tests.bodies import PLANAR, assert_conventional, write_case
+from tests.measured import measure_series
 
 SCENES = {"3D": {}, "2D": PLANAR}
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
@@ -160,12 +160,12 @@ def test_statistics_follow_the_conventions(run):
 
 
 def test_statistics_of_the_frames_on_disk_are_statistics_nc(run):
-    again, written = series_statistics(read_series(run.folder)), read_dataset(run.folder / "statistics.nc")
+    again, written = measure_series(read_series(run.folder)), read_dataset(run.folder / "statistics.nc")
     xarray.testing.assert_equal(again, written)
 
 
 def test_a_dataset_of_a_series_says_what_statistics_nc_says(run):
-    again, written = series_statistics(read_series(run.folder)), read_dataset(run.folder / "statistics.nc")
+    again, written = measure_series(read_series(run.folder)), read_dataset(run.folder / "statistics.nc")
     assert_conventional(again)
     for name in written.variables:
         for key in ("units", "long_name"):
@@ -188,7 +188,7 @@ def test_statistics_are_measured_anew_where_somebody_moved_the_points(run, tmp_p
         (tmp_path / "frames").mkdir(exist_ok=True)
         grid.save(tmp_path / "frames" / file.name, binary=True)
     (tmp_path / "series.pvd").write_text((run.folder / "series.pvd").read_text())
-    before, after = (series_statistics(read_series(folder)) for folder in (run.folder, tmp_path))
+    before, after = (measure_series(read_series(folder)) for folder in (run.folder, tmp_path))
     for name in ("volume_ratio", "total_volume", "volume_ratio_mean", "volume_ratio_quantile"):
         assert after[name].values == pytest.approx(2**run.d * before[name].values, rel=1e-12), name
     assert after["center_of_mass"].values == pytest.approx(2 * before["center_of_mass"].values, rel=1e-12)
@@ -204,7 +204,7 @@ def test_a_foreign_series_has_the_kinematic_part_under_the_same_names(run, tmp_p
     (tmp_path / "theirs.pvd").write_text(
         f'<VTKFile type="Collection"><Collection>{"".join(rows)}</Collection></VTKFile>'
     )
-    theirs = series_statistics(read_series(tmp_path / "theirs.pvd", name="theirs"))
+    theirs = measure_series(read_series(tmp_path / "theirs.pvd", name="theirs"))
     ours = read_dataset(run.folder / "statistics.nc")
     assert set(theirs.data_vars) == {"rest_volume", *FIXED_MODEL} - {
         "kinetic_energy", "elastic_energy", "potential_energy", "linear_momentum", "angular_momentum",
@@ -255,7 +255,7 @@ def test_every_file_is_complete_after_an_exception_in_the_middle(tmp_path, error
     with pytest.raises(type(error)):
         record(source(problem_of(tmp_path)), sinks(tmp_path))
     assert_complete(tmp_path, 3)
-    xarray.testing.assert_equal(series_statistics(read_series(tmp_path)), read_dataset(tmp_path / "statistics.nc"))
+    xarray.testing.assert_equal(measure_series(read_series(tmp_path)), read_dataset(tmp_path / "statistics.nc"))
 
 
 def test_a_sink_that_fails_leaves_the_files_of_the_others_complete(tmp_path):

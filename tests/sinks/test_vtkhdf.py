@@ -14,7 +14,6 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOHDF import vtkHDFReader
 
 from pipeline import build, frames, load_case, read_series, record
-from pipeline.analysis.statistics import series_statistics
 from pipeline.errors import OutputError
 from pipeline.run.measures import VARIABLES, measure, spatial
 from pipeline.series.xarray_plugin import SeriesBackend
@@ -23,6 +22,7 @@ from pipeline.sinks.fields import make_frame_fields
 from pipeline.sinks.vtkhdf import VtkhdfSink
 from pipeline.sinks.vtu import VtuSink
 from tests.bodies import PLANAR, write_case
+from tests.measured import measure_series
 from tests.sinks.test_files import arrays
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -72,7 +72,7 @@ def test_vtk_finds_every_frame_and_field_as_in_the_vtu(given, tmp_path, room, pr
 
 def test_the_dataset_is_rebuilt_from_the_file(given, tmp_path):
     record(iter(given), [VtkhdfSink(tmp_path), VtuSink(tmp_path / "vtu")])
-    ours, theirs = (series_statistics(read_series(folder)) for folder in (tmp_path, tmp_path / "vtu"))
+    ours, theirs = (measure_series(read_series(folder)) for folder in (tmp_path, tmp_path / "vtu"))
     xarray.testing.assert_equal(ours, theirs)
     with xarray.open_dataset(tmp_path / "series.vtkhdf", engine=SeriesBackend) as dataset:
         assert dataset.sizes["time"] == len(given)
@@ -105,7 +105,7 @@ def test_after_earlier_frames_the_file_is_that_of_one_go(given, tmp_path):
     record(iter(given[3:]), [VtkhdfSink(tmp_path / "parts", frames=5, earlier=[f.time for f in given[:3]])])
     whole, parts = (read_series(tmp_path / name) for name in ("whole", "parts"))
     assert whole.times == parts.times
-    xarray.testing.assert_equal(series_statistics(whole), series_statistics(parts))
+    xarray.testing.assert_equal(measure_series(whole), measure_series(parts))
 
 
 def test_a_frame_is_counted_by_a_write_of_a_few_bytes(given, tmp_path, monkeypatch):

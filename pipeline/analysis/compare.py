@@ -1,0 +1,285 @@
+"""comparison.nc: the numbers of several statistics.nc side by side along `variant`, read and written in blocks.
+
+`join_variants` joins the variants of one case, which have the same frame times. `join_series` joins any series: it
+interpolates their numbers to common times and can add differences to the first series.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from math import prod
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pipeline.analysis.node_distance import NodeDistance, write_node_distances
+from pipeline.arrays import Floats
+from pipeline.errors import OutputError, SeriesError
+from pipeline.formats.atomic import whole_file
+from pipeline.formats.netcdf import NETCDF_LOCK, NetcdfVariable, create_dataset
+from pipeline.run.frame import Values
+from pipeline.run.measures import AXES, QUANTILES, VARIABLES
+from pipeline.series import Series
+from pipeline.system.times import TIME_RTOL, are_same_times
+
+_BLOCK_BYTES = 1 << 22  # of one field: 4 MB, 2700 frames of 192 cells or one of half a million
+_CHUNK_VALUES = 2048  # of one variant and several frames: 16 kB, as statistics.nc has them
+_DIFFERENCES = ("volume_ratio", "rotation_angle")
+
+
+class StatisticsFile:
+    """A statistics.nc whose numbers are read on access; the caller holds the netCDF lock until the stack closes it."""
+
+    def __init__(self, path: Path, stack: ExitStack) -> None:
+        import netCDF4
+
+        try:
+            self._dataset = stack.enter_context(netCDF4.Dataset(path))
+            self._dataset.set_auto_mask(False)
+            self.times: Floats = self._dataset["time"][:]
+            self.rest_volume: Floats = self._dataset["rest_volume"][:]
+        except (OSError, RuntimeError, IndexError) as error:
+            raise SeriesError(f"{path}: cannot be read ({error})") from error
+        self.names = [name for name in VARIABLES if name in self._dataset.variables]
+        _limit_caches(self._dataset)
+
+    def read_attributes(self, name: str) -> dict[str, Any]:
+        """Return the attributes of a variable."""
+        return {key: self._dataset[name].getncattr(key) for key in self._dataset[name].ncattrs()}
+
+    def read_at(self, times: Floats, names: Sequence[str]) -> Values:
+        """Return variables (k, ...) at increasing times (k,), NaN after the last frame.
+
+        Between frames they are interpolated linearly; quantiles and inverted cells are those of interpolated cells.
+        """
+        slack = TIME_RTOL * max(abs(self.times[0]), abs(self.times[-1]))
+        last = len(self.times) - 1
+        recorded = times <= self.times[-1] + slack
+        inside = times[recorded]
+        frames = np.clip(np.searchsorted(self.times, inside + slack, side="right") - 1, 0, last)
+        between = (np.abs(inside - self.times[frames]) > slack) & (frames < last)
+        before = frames[between]
+        share = (inside[between] - self.times[before]) / (self.times[before + 1] - self.times[before])
+
+        def interpolate(name: str) -> Floats:
+            values = self._read_frames(name, frames)
+            if before.size:
+                weight = share.reshape(-1, *[1] * (values.ndim - 1))
+                values[between] = (1 - weight) * values[between] + weight * self._read_frames(name, before + 1)
+            return values
+
+        rows = {name: interpolate(name) for name in names}
+        if before.size:
+            ratio = (rows["volume_ratio"] if "volume_ratio" in rows else interpolate("volume_ratio"))[between]
+            rows["volume_ratio_quantile"][between] = np.quantile(ratio, QUANTILES, axis=1).T
+            rows["inverted_count"][between] = (ratio <= 0).sum(axis=1)
+        return {name: _pad(values, len(times)) for name, values in rows.items()}
+
+    def _read_frames(self, name: str, frames: Any) -> Floats:
+        variable = self._dataset[name]
+        if frames.size and (np.diff(frames) == 1).all():
+            return np.asarray(variable[frames[0] : frames[-1] + 1])
+        out = np.empty((len(frames), *variable.shape[1:]))
+        for row, frame in enumerate(frames.tolist()):
+            out[row] = variable[frame]
+        return out
+
+
+def _pad(values: Floats, count: int) -> Floats:
+    """Return `count` rows, NaN after those of `values`."""
+    if len(values) == count:
+        return values
+    out = np.full((count, *values.shape[1:]), np.nan)
+    out[: len(values)] = values
+    return out
+
+
+class ComparisonPlan(NamedTuple):
+    """The common ground of several series: times [s], whether they have the same cells, and notes on both."""
+
+    series: tuple[Series, ...]
+    times: Floats
+    same_cells: bool
+    difference: bool  # to the first series
+    interpolated: bool  # between frames of some series
+    notes: tuple[str, ...]
+
+    @property
+    def title(self) -> str:
+        """Return the names of the series as a phrase."""
+        names = [one.name for one in self.series]
+        return " and ".join([", ".join(names[:-1]), names[-1]])
+
+
+def plan_comparison(series: Sequence[Series], *, difference: bool) -> ComparisonPlan:
+    """Return how two or more series can be compared; raises SeriesError if they cannot."""
+    same_cells = _have_same_cells(series, difference=difference)
+    times, notes = _choose_times(series)
+    return ComparisonPlan(tuple(series), times, same_cells, difference, bool(notes), notes)
+
+
+def join_variants(statistics: Mapping[str, Path], path: Path, *, title: str) -> tuple[str, ...]:
+    """Write comparison.nc of the variants of one case; return a note for each that must be left out.
+
+    The times are those of the variant with the most frames; one that stopped early is NaN after its last frame. A
+    number that some variants do not have is NaN for them. Raises SeriesError, OutputError.
+    """
+    with _open_statistics(statistics) as files, _write_to(path) as hidden:
+        longest = max(files, key=lambda name: len(files[name].times))
+        reference, joined, notes = files[longest], {}, []
+        for name, file in files.items():
+            if not np.array_equal(file.rest_volume, reference.rest_volume):
+                notes.append(f"{name} is left out of the comparison: its mesh is not that of {longest}")
+            elif not are_same_times(file.times, reference.times[: len(file.times)]):
+                notes.append(f"{name} is left out of the comparison: its frame times are not those of {longest}")
+            else:
+                joined[name] = file
+        names = [name for name in VARIABLES if any(name in file.names for file in joined.values())]
+        with _create(hidden, joined, reference.times, names, title=title, meaning="variant of the case") as out:
+            _write_numbers(out, joined, reference.times, names)
+    return tuple(notes)
+
+
+def join_series(
+    plan: ComparisonPlan, statistics: Sequence[Path], path: Path, on_time: Callable[[int, int], None] | None = None
+) -> tuple[NodeDistance, ...]:
+    """Write comparison.nc of several series, given a statistics.nc of each; return the distances of nodes, if planned.
+
+    Only numbers that all series have are joined, those of cells only if the cells are the same. `on_time(done, times)`
+    is called while nodes are compared. Raises SeriesError, OutputError.
+    """
+    labels = [one.name for one in plan.series]
+    with _open_statistics(dict(zip(labels, statistics, strict=True))) as files, _write_to(path) as hidden:
+        names = [
+            name
+            for name, variable in VARIABLES.items()
+            if all(name in file.names for file in files.values()) and (plan.same_cells or "cell" not in variable.dims)
+        ]
+        with _create(hidden, files, plan.times, names, title=plan.title, meaning="series") as out:
+            if plan.difference:
+                _create_differences(out, labels[0])
+            _write_numbers(out, files, plan.times, names, difference=plan.difference)
+            return write_node_distances(out, plan.series, plan.times, on_time) if plan.difference else ()
+
+
+@contextmanager
+def _open_statistics(paths: Mapping[str, Path]) -> Iterator[dict[str, StatisticsFile]]:
+    """Yield the files by name, holding the netCDF lock until they are closed."""
+    with NETCDF_LOCK, ExitStack() as stack:
+        yield {name: StatisticsFile(path, stack) for name, path in paths.items()}
+
+
+@contextmanager
+def _write_to(path: Path) -> Iterator[Path]:
+    """Yield a hidden name that replaces `path` in the end; raises OutputError if netCDF cannot write."""
+    try:
+        with whole_file(path) as hidden:
+            yield hidden
+    except RuntimeError as error:  # netCDF's own error, as for a full disk
+        raise OutputError(f"{path}: cannot be written ({error})") from error
+
+
+def _create(
+    path: Path, files: Mapping[str, StatisticsFile], times: Floats, names: Sequence[str], *, title: str, meaning: str
+) -> Any:
+    """Return a new netCDF4 dataset with all coordinates, rest volumes and variables, the latter still NaN."""
+    first = next(iter(files.values()))
+    sizes = {"variant": len(files), "time": None, "axis": len(AXES), "quantile": len(QUANTILES)}
+    labels, axes = (np.array(list(texts), dtype=object) for texts in (files, AXES))
+    variables = {
+        "variant": NetcdfVariable(("variant",), {"long_name": meaning}, labels, dtype=str),
+        "time": NetcdfVariable(("time",), first.read_attributes("time"), times, chunks=(len(times),)),
+        "quantile": NetcdfVariable(("quantile",), first.read_attributes("quantile"), QUANTILES),
+        "axis": NetcdfVariable(("axis",), first.read_attributes("axis"), axes, dtype=str),
+    }
+    if any("cell" in VARIABLES[name].dims for name in names):
+        sizes["cell"] = len(first.rest_volume)
+        rest = np.stack([file.rest_volume for file in files.values()])
+        shared = bool((rest == rest[0]).all())
+        variables["rest_volume"] = NetcdfVariable(
+            ("cell",) if shared else ("variant", "cell"), first.read_attributes("rest_volume"),
+            rest[0] if shared else rest,
+        )  # fmt: skip
+    for name in names:
+        source = next(file for file in files.values() if name in file.names)
+        dims = VARIABLES[name].dims
+        lengths = [int(sizes[dim] or 1) for dim in dims]
+        chunks = (1, max(1, min(len(times), _CHUNK_VALUES // prod(lengths))), *lengths)
+        attributes = source.read_attributes(name)
+        variables[name] = NetcdfVariable(("variant", "time", *dims), attributes, chunks=chunks, fill_value=np.nan)
+    out = create_dataset(path, title=title, sizes=sizes, variables=variables)
+    out.set_auto_maskandscale(False)
+    _limit_caches(out)
+    return out
+
+
+def _limit_caches(dataset: Any) -> None:
+    """Let each field of cells cache one block, not the library's 16 MB and more: every value passes once."""
+    for variable in dataset.variables.values():
+        if {"time", "cell"} <= set(variable.dimensions):
+            variable.set_var_chunk_cache(size=_BLOCK_BYTES)
+
+
+def _create_differences(out: Any, first: str) -> None:
+    """Create the variables of differences to the first series."""
+    for name in _DIFFERENCES:
+        source = out[name]
+        variable = out.createVariable(
+            f"{name}_difference", "f8", source.dimensions, chunksizes=source.chunking(), fill_value=np.nan
+        )
+        variable.setncatts({"units": source.units, "long_name": f"{name}, less that of {first}"})
+        variable.set_auto_maskandscale(False)
+
+
+def _write_numbers(
+    out: Any, files: Mapping[str, StatisticsFile], times: Floats, names: Sequence[str], *, difference: bool = False
+) -> None:
+    """Write the variables block by block."""
+    cells = max(len(file.rest_volume) for file in files.values())
+    block = max(1, _BLOCK_BYTES // (8 * cells))
+    for start in range(0, len(times), block):
+        place = slice(start, min(start + block, len(times)))
+        first: Values = {}
+        for m, file in enumerate(files.values()):
+            rows = file.read_at(times[place], [name for name in names if name in file.names])
+            first = first or rows
+            for name, values in rows.items():
+                out[name][m, place] = values
+            for name in _DIFFERENCES if difference else ():
+                out[f"{name}_difference"][m, place] = rows[name] - first[name]
+
+
+def _have_same_cells(series: Sequence[Series], *, difference: bool) -> bool:
+    """Return whether all series have the cells of the first; raises SeriesError if they must and do not."""
+    first = series[0].mesh
+    for other in series[1:]:
+        if other.mesh.dimension != first.dimension:
+            raise SeriesError(f"{other.name} has {other.mesh.dimension} dimensions, {series[0].name} {first.dimension}")
+        if np.array_equal(other.mesh.cells, first.cells):
+            continue
+        if difference:
+            raise SeriesError(
+                f"a difference needs the same cells: {series[0].name} has {len(first.cells)} cells of "
+                f"{len(first.points)} nodes, {other.name} {len(other.mesh.cells)} of {len(other.mesh.points)}, "
+                "or the same in another order"
+            )
+        return False
+    return True
+
+
+def _choose_times(series: Sequence[Series]) -> tuple[Floats, tuple[str, ...]]:
+    """Return the times of a comparison [s], and a note if they are not those of every series."""
+    times = [np.asarray(one.times, dtype=np.float64) for one in series]
+    if all(are_same_times(t, times[0]) for t in times):
+        return times[0], ()
+    start, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
+    slack = TIME_RTOL * max(abs(start), abs(end))
+    inside = [t[(t >= start - slack) & (t <= end + slack)] for t in times]
+    fewest = min(range(len(series)), key=lambda i: (len(inside[i]) or np.inf, i))
+    if not len(inside[fewest]):
+        spans = ", ".join(f"{one.name} {t[0]:g} to {t[-1]:g} s" for one, t in zip(series, times, strict=True))
+        raise SeriesError(f"no frame lies in the time that all series cover: {spans}")
+    return inside[fewest], (
+        f"the times differ: the comparison has the {len(inside[fewest])} of {series[fewest].name} from {start:g} to "
+        f"{end:g} s; numbers of the others are interpolated linearly between their frames",
+    )
