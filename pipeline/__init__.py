@@ -1,23 +1,62 @@
-"""Volume drift of deformable solids: run a scene, record it, measure it.
+"""Volume drift of deformable solids: measure a series, run a scene, compare the results.
 
-In five lines:
+    import pipeline
+    result = pipeline.run_case("cases/bar.toml")                  # outputs/bar: frames, datasets, plots, movie
+    series = pipeline.read_series("outputs/bar/polar")            # or any solver's .pvd, .vtu, .vtkhdf, .xdmf
+    analysis = pipeline.analyze(series, "outputs/analysis")       # volume ratio and rotation of every cell and frame
 
-    from pipeline import build, frames, load_case, read_series, record
-    from pipeline.sinks.vtu import VtuSink
-    case = load_case("cases/bar.toml").variant("polar")
-    summary = record(frames(build(case)), [VtuSink("bar")])
-    series = read_series("bar")
+Frame by frame, with sinks of your choice:
+
+    problem = pipeline.build(pipeline.load_case("cases/bar.toml").variant("polar"))
+    pipeline.record(pipeline.frames(problem), [pipeline.VtuSink("bar")])
 """
 
-from pipeline.case import load_case
-from pipeline.errors import PipelineError
-from pipeline.problem.problem import build
+from pipeline.case import Case, load_case
+from pipeline.errors import CaseError, MeshError, OutputError, PipelineError, SeriesError, SolveError
+from pipeline.mesh.simplex import Mesh
+from pipeline.problem.problem import Problem, build
 from pipeline.problem.python_case import make_case
+from pipeline.results.analysis_folder import analyze, compare
+from pipeline.results.report import report_of_folder as write_report
+from pipeline.results.run_case import run_campaign as run_case
+from pipeline.run.frame import Frame, Sink
 from pipeline.run.frames import frames
 from pipeline.run.recording import record
-from pipeline.series import read_series
+from pipeline.series import Series, read_series
+from pipeline.sinks.netcdf import NetcdfSink
+from pipeline.sinks.vtkhdf import VtkhdfSink
+from pipeline.sinks.vtu import VtuSink
 from pipeline.system.version import VERSION
+from pipeline.views.movie.movie import write_movie
 
 __version__ = VERSION
 
-__all__ = ["PipelineError", "__version__", "build", "frames", "load_case", "make_case", "read_series", "record"]
+__all__ = [
+    "Case",
+    "CaseError",
+    "Frame",
+    "Mesh",
+    "MeshError",
+    "NetcdfSink",
+    "OutputError",
+    "PipelineError",
+    "Problem",
+    "Series",
+    "SeriesError",
+    "Sink",
+    "SolveError",
+    "VtkhdfSink",
+    "VtuSink",
+    "__version__",
+    "analyze",
+    "build",
+    "compare",
+    "frames",
+    "load_case",
+    "make_case",
+    "read_series",
+    "record",
+    "run_case",
+    "write_movie",
+    "write_report",
+]
