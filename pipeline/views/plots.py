@@ -37,7 +37,7 @@ def write_volume_figure(dataset: "xarray.Dataset", path: Path, *, title: str) ->
             _draw_ratios(axes, time, values)
         cells = ratio.shape[2]
         meaning = "light to dark: extremes, 5–95 %, 25–75 %, median" if cells > MOST_LINES else "one line each"
-        figure.supxlabel(f"{cells} cells, {meaning}; the worst cell in color", fontsize=8, color=SOFT)
+        figure.supxlabel(f"{cells} cells, {meaning}; the worst cell in orange", fontsize=8, color=SOFT)
         _set_limits(panels, time, ratio)
         _label_outer(panels, "volume ratio V / V₀")
         rest = dataset["rest_volume"].values

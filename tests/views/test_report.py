@@ -1,4 +1,4 @@
-"""report.html as a file: valid, closed in itself, escaped, and saying what the datasets say."""
+"""report.html as a file: valid, self-contained, escaped, and in agreement with the datasets."""
 
 import base64
 import json
@@ -50,7 +50,7 @@ def text(folder) -> str:
 
 
 class Reader(HTMLParser):
-    """Tags as they are opened, and whether each was closed in order."""
+    """Tags in the order of opening; `wrong` lists those that are not closed in order."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -71,11 +71,11 @@ class Reader(HTMLParser):
         return [attributes[attribute] for tag, attributes in self.tags if tag == name and attribute in attributes]
 
 
-def data_of(text: str) -> dict:
+def read_data(text: str) -> dict:
     return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text).group(1))
 
 
-def test_the_page_is_well_formed_and_closed_in_itself(text):
+def test_the_page_is_well_formed_and_self_contained(text):
     reader = Reader(text)
     assert reader.wrong == []
     assert text.startswith("<!doctype html>") and dict(reader.tags)["html"] == {"lang": "en"}
@@ -92,13 +92,13 @@ def test_the_page_is_well_formed_and_closed_in_itself(text):
     assert headings[0] == "h1" and set(headings[1:]) == {"h2"}
 
 
-def test_texts_of_a_case_stay_texts(text):
+def test_texts_of_a_case_are_escaped(text):
     assert "alert(1)" in text and "<script>alert" not in text and "<b>bar" not in text
     assert "A &lt;b&gt;bar&lt;/b&gt; &amp; &quot;more&quot;" in text
 
 
-def test_the_page_says_what_the_datasets_say(folder, text):
-    data = data_of(text)
+def test_the_page_agrees_with_the_datasets(folder, text):
+    data = read_data(text)
     assert data["labels"] == ["linear", "gram schmidt", "polar"]
     for name, drawn in zip(("linear", "gram_schmidt", "polar"), data["curves"], strict=True):
         statistics = read_dataset(folder / name / "statistics.nc")
@@ -140,24 +140,24 @@ def test_without_k3d_the_page_has_the_rest(folder, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "k3d", None)
     text = report_of_folder(folder).read_text(encoding="utf-8")
     assert "k3d is not installed" in text and 'id="bodies"' not in text and 'id="curves"' in text
-    assert data_of(text)["solids"] is None and Reader(text).wrong == []
+    assert read_data(text)["solids"] is None and Reader(text).wrong == []
 
 
-def test_large_results_show_some_frames_and_say_which(folder, monkeypatch):
+def test_large_results_show_some_frames_and_note_which(folder, monkeypatch):
     series = read_series(folder / "linear")
     monkeypatch.setattr(web_solids, "MOST_FRAMES", 2)
-    shown = web_solids.pack_solids([series], ["linear"], [1])
+    solids = web_solids.pack_solids([series], ["linear"], [1])
     times = [series.times[i] for i in (0, 1, 3, 4)]
-    assert shown.meta["bodies"][0]["times"] == pytest.approx(times)
-    assert shown.notes == (
-        "linear: the bodies are shown at 4 of 5 frames: every 3rd, the last and that of the largest change",
+    assert solids.meta["bodies"][0]["times"] == pytest.approx(times)
+    assert solids.notes == (
+        "linear: the 3D view shows 4 of 5 frames: every 3rd, the last, and the one with the largest volume change",
     )
     monkeypatch.setattr(web_solids, "MOST_FRAMES", 400)
     monkeypatch.setattr(web_solids, "MOST_BYTES", 1)
     assert len(web_solids.pack_solids([series], ["linear"], [0]).meta["bodies"][0]["times"]) == 3
 
 
-def test_long_series_have_some_points_of_their_curves(monkeypatch, folder):
+def test_curves_of_long_series_show_some_of_their_frames(monkeypatch, folder):
     statistics = read_dataset(folder / "linear" / "statistics.nc")
     worst = int(np.abs(statistics["volume_ratio"].values - 1).max(axis=1).argmax())
     monkeypatch.setattr("pipeline.views.html.curves.MOST_TIMES", 2)
@@ -165,7 +165,7 @@ def test_long_series_have_some_points_of_their_curves(monkeypatch, folder):
     assert len(collect_curves(statistics)["total"]) == len({0, worst, 4})
 
 
-def test_worst_cells_are_found_a_few_frames_at_a_time(monkeypatch):
+def test_worst_cells_are_searched_a_few_frames_at_a_time(monkeypatch):
     from pipeline.mesh.shapes import box
 
     mesh = box((1.0, 1.0, 1.0), (1, 1, 1))
@@ -173,10 +173,10 @@ def test_worst_cells_are_found_a_few_frames_at_a_time(monkeypatch):
     ratio[5, 2], ratio[6, 1], ratio[3, 0] = 4.0, -3.5, np.nan
     statistics = xarray.Dataset({"volume_ratio": (("time", "cell"), ratio)}, {"time": np.arange(7) / 2})
     monkeypatch.setattr(web_worst, "_VALUES", 2 * len(mesh.cells))
-    found = find_worst_cells(statistics, mesh, 3)
-    assert [(one.cell, one.volume_ratio, one.time) for one in found[:2]] == [(1, -3.5, 3.0), (2, 4.0, 2.5)]
-    assert found[1].place == pytest.approx(mesh.points[mesh.cells[2]].mean(axis=0))
-    assert len(found) == 3 and np.isfinite(found[2].volume_ratio)
+    cells = find_worst_cells(statistics, mesh, 3)
+    assert [(cell.cell, cell.volume_ratio, cell.time) for cell in cells[:2]] == [(1, -3.5, 3.0), (2, 4.0, 2.5)]
+    assert cells[1].place == pytest.approx(mesh.points[mesh.cells[2]].mean(axis=0))
+    assert len(cells) == 3 and np.isfinite(cells[2].volume_ratio)
 
 
 def test_movies_lie_inside_or_beside_the_page(folder, monkeypatch):
@@ -188,7 +188,7 @@ def test_movies_lie_inside_or_beside_the_page(folder, monkeypatch):
         assert 'src="data:video/mp4;base64,ZmlsbQ=="' in inside and 'src="data:image/png;base64,c3RpbGw="' in inside
         monkeypatch.setattr(web_page, "MOST_MOVIE_BYTES", 3)
         beside = report_of_folder(folder).read_text(encoding="utf-8")
-        assert 'src="comparison.mp4"' in beside and "too long" in beside
+        assert 'src="comparison.mp4"' in beside and "too large" in beside
     finally:
         movie.unlink()
         poster.unlink()
@@ -215,7 +215,7 @@ def test_bodies_in_the_plane(tmp_path, monkeypatch):
     without_figures(monkeypatch)
     case = load_case(write_case(tmp_path, **PLANAR, supports=[{"plane": "y", "at": 3.0}]))
     text = report_of_folder(run_campaign(case, tmp_path / "outputs", movie=False).folder).read_text(encoding="utf-8")
-    assert "series of 24 triangles" in text and data_of(text)["energy"] == "J/m"
+    assert "series of 24 triangles" in text and read_data(text)["energy"] == "J/m"
 
 
 def test_the_page_of_anybodys_series(folder, tmp_path, monkeypatch, capsys):
@@ -227,10 +227,10 @@ def test_the_page_of_anybodys_series(folder, tmp_path, monkeypatch, capsys):
     assert "pipeline analyze x" in text
     hostile = read_series(folder / "linear", name="</script><i>name")
     text = report_of_analysis(analyze(hostile, tmp_path / "hostile"), [hostile], "").read_text(encoding="utf-8")
-    assert data_of(text)["labels"] == ["</script><i>name"] and Reader(text).wrong == [] and "<i>" not in text
+    assert read_data(text)["labels"] == ["</script><i>name"] and Reader(text).wrong == [] and "<i>" not in text
     two = [one, read_series(folder / "polar", name="linear")]
     text = report_of_analysis(compare(two, tmp_path / "two"), two, "").read_text(encoding="utf-8")
-    assert data_of(text)["labels"] == ["linear", "linear_2"] and "Difference of nodes" not in text
+    assert read_data(text)["labels"] == ["linear", "linear_2"] and "Difference of nodes" not in text
     found = compare(two, tmp_path / "apart", difference=True)
     text = report_of_analysis(found, two, "").read_text(encoding="utf-8")
     assert "from those of linear" in text and f">{found.node_distances[0].worst:.4g}</td>" in text

@@ -1,4 +1,4 @@
-"""A report as blocks, written as Markdown (pictures linked) and as one HTML file (all inside, no network)."""
+"""A report as blocks, rendered as Markdown (pictures linked) and as one HTML file (pictures embedded)."""
 
 import base64
 import os
@@ -21,14 +21,14 @@ class Heading:
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A text; `code` and **strong** are its only marks."""
+    """A text; `code` and **strong** are its only markup."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class TableBlock:
-    """Rows of texts under a head."""
+    """Rows of texts under a heading row."""
 
     head: tuple[str, ...]
     rows: Sequence[Sequence[str]]
@@ -45,7 +45,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class CodeListing:
-    """A text as it is, such as a file or commands."""
+    """A preformatted text, such as a file or commands."""
 
     text: str
 
@@ -78,10 +78,10 @@ pre { overflow-x: auto; padding: .8rem 1rem; background: var(--band); border: 1p
 
 def render_markdown(blocks: Sequence[Block], folder: Path) -> str:
     """Return the report as Markdown, pictures linked relative to a folder."""
-    return "\n\n".join(_markdown_block(block, folder) for block in blocks) + "\n"
+    return "\n\n".join(_render_markdown_block(block, folder) for block in blocks) + "\n"
 
 
-def _markdown_block(block: Block, folder: Path) -> str:
+def _render_markdown_block(block: Block, folder: Path) -> str:
     if isinstance(block, Heading):
         return f"{'#' * block.level} {block.text}"
     if isinstance(block, Paragraph):
@@ -97,7 +97,7 @@ def _markdown_block(block: Block, folder: Path) -> str:
 
 
 def render_html(blocks: Sequence[Block]) -> str:
-    """Return the report as one HTML page that asks for nothing; raises OutputError where a picture cannot be read."""
+    """Return the report as one HTML page that loads nothing; raises OutputError if a picture cannot be read."""
     title = next(block.text for block in blocks if isinstance(block, Heading))
     first, *others = (render_block(block) for block in blocks)
     sections = [b.text for b in blocks if isinstance(b, Heading) and b.level == 2]
@@ -105,7 +105,7 @@ def render_html(blocks: Sequence[Block]) -> str:
 
 
 def render_document(title: str, body: str, *, head: str = "") -> str:
-    """Return a whole HTML page in the common style; body and head are HTML."""
+    """Return a whole HTML page in the common style; `body` and `head` are HTML."""
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{escape(title)}</title>\n'
@@ -114,32 +114,32 @@ def render_document(title: str, body: str, *, head: str = "") -> str:
 
 
 def render_navigation(sections: Sequence[str]) -> str:
-    """Return HTML of links to sections."""
+    """Return HTML links to sections."""
     links = "".join(f'<a href="#{make_anchor(text)}">{escape(text)}</a>' for text in sections)
     return f'<nav aria-label="Contents">{links}</nav>'
 
 
 def render_block(block: Block) -> str:
-    """Return HTML of a block; raises OutputError where a picture cannot be read."""
+    """Return the HTML of a block; raises OutputError if a picture cannot be read."""
     if isinstance(block, Heading):
         return f'<h{block.level} id="{make_anchor(block.text)}">{escape(block.text)}</h{block.level}>'
     if isinstance(block, Paragraph):
-        return f"<p>{_inline(block.text)}</p>"
+        return f"<p>{_render_inline(block.text)}</p>"
     if isinstance(block, CodeListing):
         return f'<pre tabindex="0"><code>{escape(block.text.rstrip(), quote=False)}</code></pre>'
     if isinstance(block, Picture):
         return (
             f'<figure><img alt="{escape(block.caption)}" src="{read_data_uri(block.path, "image/png")}">'
-            f"<figcaption>{_inline(block.caption)}</figcaption></figure>"
+            f"<figcaption>{_render_inline(block.caption)}</figcaption></figure>"
         )
-    head = "".join(f'<th scope="col">{_inline(cell)}</th>' for cell in block.head)
-    rows = "\n".join("<tr>" + "".join(_html_cell(cell) for cell in row) + "</tr>" for row in block.rows)
-    caption = f"<caption>{_inline(block.caption)}</caption>" if block.caption else ""
+    head = "".join(f'<th scope="col">{_render_inline(cell)}</th>' for cell in block.head)
+    rows = "\n".join("<tr>" + "".join(_render_cell(cell) for cell in row) + "</tr>" for row in block.rows)
+    caption = f"<caption>{_render_inline(block.caption)}</caption>" if block.caption else ""
     table = f"<table>{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}\n</tbody></table>"
-    return f'<div class="wide" tabindex="0">{table}</div>'  # the focus lets keys scroll what is too wide
+    return f'<div class="wide" tabindex="0">{table}</div>'  # focusable, so that keys can scroll a wide table
 
 
-def _html_cell(text: str) -> str:
+def _render_cell(text: str) -> str:
     kind = ""
     if text.startswith("not reproduced"):
         kind = "bad"
@@ -147,23 +147,23 @@ def _html_cell(text: str) -> str:
         kind = "factor" if "with factor" in text else "good"
     elif re.fullmatch(r"[-+−]?[\d.]+(e[-+]?\d+)?( %)?", text):
         kind = "number"
-    return f'<td class="{kind}">{_inline(text)}</td>' if kind else f"<td>{_inline(text)}</td>"
+    return f'<td class="{kind}">{_render_inline(text)}</td>' if kind else f"<td>{_render_inline(text)}</td>"
 
 
-def _inline(text: str) -> str:
-    """Return HTML of a text with `code` and **strong**."""
+def _render_inline(text: str) -> str:
+    """Return the HTML of a text with `code` and **strong**."""
     safe = escape(text, quote=False)
     safe = re.sub(r"`([^`]+)`", r"<code>\1</code>", safe)
     return re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", safe)
 
 
 def make_anchor(text: str) -> str:
-    """Return the id of the section of that title."""
+    """Return the id of the section with that title."""
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
 
 
 def read_data_uri(path: Path, kind: str) -> str:
-    """Return a file as a data: address; raises OutputError where it cannot be read."""
+    """Return a file as a data: URI; raises OutputError if it cannot be read."""
     try:
         return f"data:{kind};base64," + base64.b64encode(path.read_bytes()).decode("ascii")
     except OSError as error:

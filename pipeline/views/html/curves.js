@@ -1,5 +1,5 @@
 "use strict";
-// Curves over time as SVG: read by pointing, moved along by keys, lines switched by buttons, time zoomed for all.
+// Curves over time as SVG: pointing reads them, keys step through time, buttons toggle lines, all share one time axis.
 (() => {
   const SVG = "http://www.w3.org/2000/svg";
   const { data } = report;
@@ -8,7 +8,7 @@
   const place = document.getElementById("curves");
   const frames = [...new Set(data.curves.flatMap((curve) => curve.times))].sort((a, b) => a - b);
 
-  function make(tag, attributes = {}, text = "") {
+  function createElement(tag, attributes = {}, text = "") {
     const element = tag === "svg" || SHAPES.has(tag) ? document.createElementNS(SVG, tag) : document.createElement(tag);
     for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
     if (text) element.textContent = text;
@@ -16,17 +16,17 @@
   }
   const SHAPES = new Set(["g", "path", "line", "text", "circle", "rect", "clipPath"]);
 
-  function ticks(low, high, wanted) {
-    const rough = (high - low) / wanted || 1;
+  function chooseTicks(low, high, count) {
+    const rough = (high - low) / count || 1;
     const power = 10 ** Math.floor(Math.log10(rough));
     const step = [1, 2, 5, 10].map((f) => f * power).find((s) => s >= rough);
-    const found = [];
-    for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i += 1) found.push(i * step);
+    const values = [];
+    for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i += 1) values.push(i * step);
     const digits = Math.max(0, Math.ceil(-Math.log10(step) - 1e-9));
-    return found.map((value) => [value, value.toFixed(Math.min(digits, 9))]);
+    return values.map((value) => [value, value.toFixed(Math.min(digits, 9))]);
   }
 
-  function specs() {
+  function buildSpecs() {
     const sides = data.curves.map((curve, i) => ({ curve, label: data.labels[i], color: `var(--c${i % 8})` }));
     const dashes = (i) => (i < 8 ? "" : "6 3");
     const total = {
@@ -36,7 +36,7 @@
       })),
     };
     const cells = sides.map((s) => ({
-      title: `Volume ratio of the cells: ${s.label}`, unit: "", group: "cells", level: 1,
+      title: `Volume ratio of cells: ${s.label}`, unit: "", group: "cells", level: 1,
       bands: s.curve.bands.map(([low, high], k) => ({
         name: ["extremes", "5 to 95 %", "25 to 75 %"][k], times: s.curve.times, low, high, color: s.color,
         opacity: [0.16, 0.24, 0.36][k],
@@ -55,50 +55,50 @@
     return [total, ...cells, ...energies];
   }
 
-  function range(spec) {
+  function findRange(spec) {
     let low = spec.level;
     let high = spec.level;
-    const see = (v) => {
+    const include = (v) => {
       if (v === null) return;
       low = Math.min(low, v);
       high = Math.max(high, v);
     };
-    for (const line of spec.lines) line.values.forEach(see);
+    for (const line of spec.lines) line.values.forEach(include);
     for (const band of spec.bands || []) {
-      band.low.forEach(see);
-      band.high.forEach(see);
+      band.low.forEach(include);
+      band.high.forEach(include);
     }
     return [low, high];
   }
 
-  const short = (v) => (v === null ? "none" : Math.abs(v) >= 1e5 ? v.toExponential(3) : String(Number(v.toPrecision(4))));
+  const formatNumber = (v) => (v === null ? "no value" : Math.abs(v) >= 1e5 ? v.toExponential(3) : String(Number(v.toPrecision(4))));
 
   class Chart {
     constructor(spec) {
       this.spec = spec;
-      this.figure = make("figure", { class: "curve" });
-      this.title = make("figcaption");
+      this.figure = createElement("figure", { class: "curve" });
+      this.title = createElement("figcaption");
       this.figure.append(this.title);
-      const keys = make("div", { class: "keys" });
-      for (const part of [...(spec.bands || []), ...spec.lines]) keys.append(this.key(part));
+      const keys = createElement("div", { class: "keys" });
+      for (const part of [...(spec.bands || []), ...spec.lines]) keys.append(this.createKey(part));
       this.figure.append(keys);
-      this.svg = make("svg", { tabindex: "0", role: "slider", "aria-label": `${spec.title}, time`, height: "230" });
+      this.svg = createElement("svg", { tabindex: "0", role: "slider", "aria-label": `${spec.title}, time`, height: "230" });
       this.svg.setAttribute("aria-valuemin", report.first);
       this.svg.setAttribute("aria-valuemax", report.last);
-      this.read = make("output", { class: "read" });
+      this.read = createElement("output", { class: "read" });
       this.figure.append(this.svg, this.read);
-      this.svg.addEventListener("pointermove", (e) => hover(this.timeAt(e)));
-      this.svg.addEventListener("pointerleave", () => hover(null));
+      this.svg.addEventListener("pointermove", (e) => readAt(this.findTime(e)));
+      this.svg.addEventListener("pointerleave", () => readAt(null));
       this.svg.addEventListener("click", (e) => {
         report.stop();
-        report.set(this.timeAt(e));
+        report.setTime(this.findTime(e));
       });
-      this.svg.addEventListener("keydown", keyed);
+      this.svg.addEventListener("keydown", handleKey);
     }
 
-    key(part) {
-      const button = make("button", { type: "button", "aria-pressed": "true" });
-      const swatch = make("span", { class: "swatch", "aria-hidden": "true" });
+    createKey(part) {
+      const button = createElement("button", { type: "button", "aria-pressed": "true" });
+      const swatch = createElement("span", { class: "swatch", "aria-hidden": "true" });
       swatch.style.borderTopColor = part.color;
       swatch.style.borderTopStyle = part.dash ? "dashed" : "solid";
       if (part.low) swatch.style.cssText = `border: 0; background: ${part.color}; opacity: ${2 * part.opacity}; height: 10px`;
@@ -112,11 +112,11 @@
       return button;
     }
 
-    timeAt(event) {
+    findTime(event) {
       const box = this.svg.getBoundingClientRect();
       const share = (event.clientX - box.left - this.left) / Math.max(this.width - this.left - this.right, 1);
       const t = view.from + Math.min(Math.max(share, 0), 1) * (view.to - view.from);
-      const i = report.at(frames, t);
+      const i = report.findFrame(frames, t);
       const next = frames[Math.min(i + 1, frames.length - 1)];
       return next - t < t - frames[i] ? next : frames[i];
     }
@@ -125,7 +125,7 @@
 
     y(v) { return 8 + (1 - (v - this.low) / (this.high - this.low)) * (this.height - 38); }
 
-    path(times, values, reversed = false) {
+    listPoints(times, values, reversed = false) {
       const points = times.map((t, i) => (values[i] === null ? null : `${this.x(t).toFixed(1)},${this.y(values[i]).toFixed(1)}`));
       if (reversed) points.reverse();
       return points.filter((p) => p !== null);
@@ -144,36 +144,36 @@
       const [scale, letter] = prefixes.find(([factor]) => Math.max(-low, high) >= factor) || [1, ""];
       this.scale = scale;
       this.title.textContent = spec.unit ? `${spec.title} [${letter}${spec.unit}]` : spec.title;
-      for (const [value, text] of ticks(this.low / scale, this.high / scale, 5)) {
+      for (const [value, text] of chooseTicks(this.low / scale, this.high / scale, 5)) {
         const y = this.y(value * scale);
-        svg.append(make("line", { x1: this.left, x2: this.width - this.right, y1: y, y2: y, class: "grid" }));
-        svg.append(make("text", { x: this.left - 6, y: y + 4, "text-anchor": "end" }, text));
+        svg.append(createElement("line", { x1: this.left, x2: this.width - this.right, y1: y, y2: y, class: "grid" }));
+        svg.append(createElement("text", { x: this.left - 6, y: y + 4, "text-anchor": "end" }, text));
       }
-      for (const [value, text] of ticks(view.from, view.to, Math.max(2, this.width / 110))) {
-        svg.append(make("text", { x: this.x(value), y: this.height - 14, "text-anchor": "middle" }, text));
+      for (const [value, text] of chooseTicks(view.from, view.to, Math.max(2, this.width / 110))) {
+        svg.append(createElement("text", { x: this.x(value), y: this.height - 14, "text-anchor": "middle" }, text));
       }
-      svg.append(make("text", { x: this.width - this.right, y: this.height - 1, "text-anchor": "end" }, "time [s]"));
+      svg.append(createElement("text", { x: this.width - this.right, y: this.height - 1, "text-anchor": "end" }, "time [s]"));
       this.drawParts();
     }
 
     drawParts() {
       const { spec, svg } = this;
       const id = `clip-${charts.indexOf(this)}`;
-      const clip = make("clipPath", { id });
-      clip.append(make("rect", { x: this.left, y: 0, width: Math.max(this.width - this.left - this.right, 1), height: this.height - 30 }));
-      const inner = make("g", { "clip-path": `url(#${id})` });
+      const clip = createElement("clipPath", { id });
+      clip.append(createElement("rect", { x: this.left, y: 0, width: Math.max(this.width - this.left - this.right, 1), height: this.height - 30 }));
+      const inner = createElement("g", { "clip-path": `url(#${id})` });
       const level = this.y(spec.level);
-      inner.append(make("line", { x1: this.left, x2: this.width, y1: level, y2: level, class: "level" }));
+      inner.append(createElement("line", { x1: this.left, x2: this.width, y1: level, y2: level, class: "level" }));
       for (const band of (spec.bands || []).filter((b) => !b.hidden)) {
-        const edge = [...this.path(band.times, band.low), ...this.path(band.times, band.high, true)];
+        const edge = [...this.listPoints(band.times, band.low), ...this.listPoints(band.times, band.high, true)];
         const look = `fill: ${band.color}; fill-opacity: ${band.opacity}`;
-        inner.append(make("path", { d: `M${edge.join("L")}Z`, style: look, class: "band" }));
+        inner.append(createElement("path", { d: `M${edge.join("L")}Z`, style: look, class: "band" }));
       }
       for (const line of spec.lines.filter((l) => !l.hidden)) {
         const look = `stroke: ${line.color}; stroke-dasharray: ${line.dash || "none"}`;
-        inner.append(make("path", { d: `M${this.path(line.times, line.values).join("L")}`, style: look, class: "line" }));
+        inner.append(createElement("path", { d: `M${this.listPoints(line.times, line.values).join("L")}`, style: look, class: "line" }));
       }
-      this.cursor = make("g");
+      this.cursor = createElement("g");
       inner.append(this.cursor);
       svg.append(clip, inner);
     }
@@ -181,26 +181,26 @@
     mark(t) {
       if (!this.cursor) return;
       const x = this.x(t);
-      this.cursor.replaceChildren(make("line", { x1: x, x2: x, y1: 8, y2: this.height - 30, class: "cursor" }));
-      const told = [];
+      this.cursor.replaceChildren(createElement("line", { x1: x, x2: x, y1: 8, y2: this.height - 30, class: "cursor" }));
+      const readings = [];
       for (const part of [...(this.spec.bands || []), ...this.spec.lines].filter((p) => !p.hidden)) {
-        const i = report.at(part.times, t);
+        const i = report.findFrame(part.times, t);
         const values = part.low ? [part.low[i], part.high[i]] : [part.values[i]];
-        told.push(`${part.name} ${values.map((v) => short(v === null ? v : v / this.scale)).join(" … ")}`);
+        readings.push(`${part.name} ${values.map((v) => formatNumber(v === null ? v : v / this.scale)).join(" … ")}`);
         if (part.low || values[0] === null) continue;
-        this.cursor.append(make("circle", { cx: this.x(part.times[i]), cy: this.y(values[0]), r: 4, style: `fill: ${part.color}` }));
+        this.cursor.append(createElement("circle", { cx: this.x(part.times[i]), cy: this.y(values[0]), r: 4, style: `fill: ${part.color}` }));
       }
-      this.read.textContent = `${report.said(t)}: ${told.join("; ")}`;
+      this.read.textContent = `${report.formatTime(t)}: ${readings.join("; ")}`;
       this.svg.setAttribute("aria-valuenow", t);
       this.svg.setAttribute("aria-valuetext", this.read.textContent);
     }
   }
 
-  function hover(t) {
+  function readAt(t) {
     for (const chart of charts) chart.mark(t === null ? report.time : t);
   }
 
-  function keyed(event) {
+  function handleKey(event) {
     const steps = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -10, PageUp: 10, Home: -1e9, End: 1e9 };
     const zooms = { "+": 0.5, "-": 2 };
     if (event.key in steps) report.step(steps[event.key]);
@@ -210,14 +210,14 @@
     event.preventDefault();
   }
 
-  // show `factor` times as long a time, about the present one
+  // scale the range of times shown, centered on the present time
   function zoom(factor) {
     const whole = report.last - report.first;
     const span = Math.min(Math.max((view.to - view.from) * factor, whole / 1000), whole);
-    look(span);
+    showSpan(span);
   }
 
-  function look(span) {
+  function showSpan(span) {
     view.from = Math.min(Math.max(report.time - span / 2, report.first), report.last - span);
     view.to = view.from + span;
     redraw();
@@ -231,8 +231,8 @@
   }
 
   const groups = {};
-  for (const spec of specs()) {
-    spec.range = range(spec);
+  for (const spec of buildSpecs()) {
+    spec.range = findRange(spec);
     if (spec.group) {
       const shared = (groups[spec.group] ||= [...spec.range]);
       [shared[0], shared[1]] = [Math.min(shared[0], spec.range[0]), Math.max(shared[1], spec.range[1])];
@@ -248,7 +248,7 @@
   redraw();
   new ResizeObserver(redraw).observe(place);
   report.on((t) => {
-    if (t < view.from || t > view.to) look(view.to - view.from);
+    if (t < view.from || t > view.to) showSpan(view.to - view.from);
     for (const chart of charts) chart.mark(t);
   });
 })();

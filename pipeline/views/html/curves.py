@@ -1,4 +1,4 @@
-"""The numbers of whole bodies over time, as the page's curves take them."""
+"""The numbers of whole bodies over time, for the curves of the page."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ MOST_TIMES = 1000  # more than a curve on a screen has pixels
 
 
 def choose_times(statistics: "xarray.Dataset") -> list[int]:
-    """Return the frames that a curve shows: evenly chosen, and that of the largest change."""
+    """Return the frames of a curve: evenly spaced ones and that of the largest change."""
     count = statistics.sizes["time"]
     if count <= MOST_TIMES:
         return list(range(count))
@@ -22,13 +22,13 @@ def choose_times(statistics: "xarray.Dataset") -> list[int]:
 
 
 def find_worst_frame(statistics: "xarray.Dataset") -> int:
-    """Return the frame of the largest |V / V0 - 1| of any cell; 0 where no number says."""
+    """Return the frame of the largest |V / V0 - 1| of any cell; 0 if none is finite."""
     change = np.abs(statistics["volume_ratio_quantile"].values[:, [0, -1]] - 1).max(axis=1)
     return int(np.nan_to_num(change, nan=-1.0).argmax())
 
 
 def collect_curves(statistics: "xarray.Dataset") -> dict[str, Any]:
-    """Return times, total volume, bands of the cells' volume ratios and energies of one series, for JSON."""
+    """Return times, total volume, bands of the cells' volume ratios, and energies of one series, for JSON."""
     shown = statistics.drop_vars(["volume_ratio", "rotation_angle"], errors="ignore").isel(
         time=choose_times(statistics)
     )
@@ -47,5 +47,5 @@ def collect_curves(statistics: "xarray.Dataset") -> dict[str, Any]:
 
 
 def round_numbers(values: Floats, digits: int = 6) -> list[float | None]:
-    """Return numbers with so many significant digits, None for what is not finite: JSON has no NaN."""
+    """Return numbers rounded to `digits` significant digits; None if not finite: JSON has no NaN."""
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in np.asarray(values).tolist()]

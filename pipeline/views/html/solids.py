@@ -1,7 +1,7 @@
-"""Surfaces over time for k3d's WebGL viewer: a packed scene a body, and what the page has to know of them.
+"""Surfaces over time for k3d's WebGL viewer: a packed scene for each body, and data about them for the page.
 
-Colors are given as places on the color map in 254 steps, and coordinates are rounded to a 32768th of the body's
-size: neither can be seen, and both halve the page.
+Colors are stored as places on the color map in 254 steps, and coordinates are rounded to a 32768th of the body's
+size: both are invisible, and together they halve the page.
 """
 
 import base64
@@ -22,30 +22,31 @@ from pipeline.arrays import Floats, Ints
 from pipeline.series import Series
 from pipeline.views.camera import Camera, fit_camera
 from pipeline.views.html.curves import round_numbers
-from pipeline.views.palette import INVERTED, Palette
+from pipeline.views.palette import INVERTED, OUTLINE, Palette
 from pipeline.views.track import (
     Track,
     choose_color_radius,
+    find_clipped_ends,
     find_drawn_faces,
     find_sharp_edges,
     list_drawn_points,
     read_track,
 )
 
-OnFrameRead = Callable[[str, int, int], None]  # what is read, frames done, frames in all
+OnFrameRead = Callable[[str, int, int], None]  # label of the series, frames done, frames in all
 MOST_BYTES = 16_000_000  # of coordinates and colors before they are packed: 5 to 8 MB of page
 MOST_FRAMES = 400  # of a body
 MOST_EDGES = 4000  # faces of a body up to which the edges of its cells are drawn
 _STEPS, _GRAIN = 254, 2.0**-15
-_OUTLINE = 0x8F949F
+_OUTLINE = int.from_bytes(bytes(OUTLINE), "big")
 
 
 @dataclass(frozen=True)
 class Solids:
-    """The viewer's program and a scene a body, packed; `meta` for JSON; notes say which frames are there."""
+    """The viewer's program and a packed scene for each body; `meta` for JSON; notes on frames left out."""
 
     program: str
-    licenses: str  # of the program, which have to travel with it
+    licenses: str  # of the program: they must be distributed with it
     scenes: tuple[str, ...]
     meta: dict[str, Any]
     notes: tuple[str, ...]
@@ -54,88 +55,91 @@ class Solids:
 def pack_solids(
     series: Sequence[Series], labels: Sequence[str], moments: Sequence[int], on_frame: OnFrameRead | None = None
 ) -> Solids | None:
-    """Return the surfaces of series over time, None where k3d is not installed.
+    """Return the surfaces of series over time, None if k3d is not installed.
 
-    Long series and large meshes show some of their frames: every k-th, the last, and the one of `moments` (a frame
-    a series). `on_frame(label, done, frames)` is called after each. Raises SeriesError where one cannot be read.
+    Long series and large meshes show only some of their frames: every k-th, the last, and that of `moments` (one
+    frame for each series). `on_frame(label, done, frames)` is called after each. Raises SeriesError if a frame cannot
+    be read.
     """
     if find_spec("k3d") is None:
         return None
     tracks, notes = [], []
-    most = _frames_each(series)
-    for one, label, moment in zip(series, labels, moments, strict=True):
-        kept, every = _kept(len(one), most, moment)
+    most = _count_affordable_frames(series)
+    for recorded, label, moment in zip(series, labels, moments, strict=True):
+        frames, every = _choose_frames(len(recorded), most, moment)
         if every > 1:
             notes.append(
-                f"{label}: the bodies are shown at {len(kept)} of {len(one)} frames: every {_ordinal(every)}, the last "
-                "and that of the largest change"
+                f"{label}: the 3D view shows {len(frames)} of {len(recorded)} frames: every {_format_ordinal(every)}, "
+                "the last, and the one with the largest volume change"
             )
-        done = count(1)
-
-        def told(label: str = label, done: "count[int]" = done, frames: int = len(kept)) -> None:
-            if on_frame is not None:
-                on_frame(label, next(done), frames)
-
-        tracks.append(read_track(one.select_frames(kept), label, told))
+        report = (lambda: None) if on_frame is None else _count_calls(on_frame, label, len(frames))
+        tracks.append(read_track(recorded.select_frames(frames), label, report))
     radius, camera = choose_color_radius(tracks), fit_camera(tracks)
     palette = Palette(radius)
+    below, above = find_clipped_ends(tracks, radius)
     meta = {
-        "bodies": [_body(track, camera) for track in tracks],
+        "bodies": [_describe_body(track, camera) for track in tracks],
         "camera": {name: round_numbers(getattr(camera, name)) for name in ("right", "up", "toward")},
         "radius": radius,
-        "below": bool(min(float(np.nanmin(t.low)) for t in tracks) < 1 - radius),
-        "above": bool(max(float(np.nanmax(t.high)) for t in tracks) > 1 + radius),
+        "below": below,
+        "above": above,
         "inverted": bool(any(t.inverted.any() for t in tracks)),
         "colors": ["#" + bytes(palette.table[i]).hex() for i in np.linspace(0, 255, 17).astype(int)],
         "invertedColor": "#" + bytes(INVERTED).hex(),
     }
     points = np.concatenate([list_drawn_points(track) for track in tracks])
     bounds = (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())
-    scenes = tuple(_scene(track, palette, camera.toward, bounds) for track in tracks)
-    return Solids(_program(), _licenses(), scenes, meta, tuple(notes))
+    scenes = tuple(_pack_scene(track, palette, camera.toward, bounds) for track in tracks)
+    return Solids(_pack_viewer(), _read_licenses(), scenes, meta, tuple(notes))
 
 
-def _body(track: Track, camera: Camera) -> dict[str, Any]:
-    """Return a body's name, the times of its frames, and its bounds along the camera's right, up and toward."""
-    seen = list_drawn_points(track) @ np.stack([camera.right, camera.up, camera.toward]).T
-    bounds = {"low": round_numbers(seen.min(axis=0)), "high": round_numbers(seen.max(axis=0))}
+def _count_calls(on_frame: OnFrameRead, label: str, frames: int) -> Callable[[], None]:
+    """Return a function that passes the number of its call to `on_frame`."""
+    done = count(1)
+    return lambda: on_frame(label, next(done), frames)
+
+
+def _describe_body(track: Track, camera: Camera) -> dict[str, Any]:
+    """Return a body's label, the times of its frames, and its bounds along the camera's right, up and toward."""
+    projected = list_drawn_points(track) @ np.stack([camera.right, camera.up, camera.toward]).T
+    bounds = {"low": round_numbers(projected.min(axis=0)), "high": round_numbers(projected.max(axis=0))}
     return {"label": track.label, "times": round_numbers(track.times, digits=9), **bounds}
 
 
-def _frames_each(series: Sequence[Series]) -> int:
-    """Return how many frames of every series the page can hold."""
+def _count_affordable_frames(series: Sequence[Series]) -> int:
+    """Return the number of frames of every series that fit into the page."""
     size = 0
-    for one in series:
-        faces, _ = find_drawn_faces(one.mesh)
+    for recorded in series:
+        faces, _ = find_drawn_faces(recorded.mesh)
         bodies = 2 if len(faces) <= MOST_EDGES else 1  # the edges are a body of their own
         size += 4 * len(faces) + 12 * bodies * len(np.unique(faces))
     return max(2, min(MOST_FRAMES, MOST_BYTES // size))
 
 
-def _kept(frames: int, most: int, moment: int) -> tuple[list[int], int]:
-    """Return the frames that are kept, in order, and k where that is every k-th."""
+def _choose_frames(frames: int, most: int, moment: int) -> tuple[list[int], int]:
+    """Return the frames to show, in order, and k: they are every k-th, the last and `moment`."""
     every = -(-frames // most)
     return sorted({*range(0, frames, every), frames - 1, moment}), every
 
 
-def _ordinal(n: int) -> str:
+def _format_ordinal(n: int) -> str:
     return f"{n}{'th' if n % 100 in (11, 12, 13) else {1: 'st', 2: 'nd', 3: 'rd'}.get(n % 10, 'th')}"
 
 
-def _scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[float, ...]) -> str:
+def _pack_scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[float, ...]) -> str:
     """Return k3d's binary snapshot of a body, base64; its times are the indices of frames."""
     import k3d
 
     size = float(np.linalg.norm(np.ptp(track.rest, axis=0)))
-    points = {str(i): _rounded(p, size) for i, p in enumerate(track.points)}
-    colors = {str(i): _places(ratio, palette.radius) for i, ratio in enumerate(track.ratio)}
+    points = {str(i): _round_points(p, size) for i, p in enumerate(track.points)}
+    colors = {str(i): _place_on_map(ratio, palette.radius) for i, ratio in enumerate(track.ratio)}
     faces = track.faces.astype(np.uint32)
-    look: dict[str, Any] = {"color_map": _color_map(palette), "color_range": [-1.0, _STEPS], "side": "double"}
+    look: dict[str, Any] = {"color_map": _make_color_map(palette), "color_range": [-1.0, _STEPS], "side": "double"}
     plot = k3d.plot(
         grid_visible=False, menu_visibility=False, camera_auto_fit=False, axes_helper=0,
-        grid_auto_fit=False, grid=bounds,  # what the viewer reckons from how far it has to see
+        grid_auto_fit=False, grid=bounds,  # the viewer derives its depth range from these
         colorbar_object_id=0, time_interpolation=False, camera_fov=20.0,
-        lighting=1.5 if track.dimension == 3 else 1.15,  # faces that look at the viewer have the colors of the bar
+        lighting=1.5 if track.dimension == 3 else 1.15,  # faces toward the viewer get the colors of the bar
     )  # fmt: skip
     plot += k3d.mesh(points, faces, triangles_attribute=colors, name="body", **look)
     if len(faces) <= MOST_EDGES:
@@ -145,41 +149,41 @@ def _scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[float, 
     plot += k3d.lines(
         track.rest, edges.astype(np.uint32), indices_type="segment", shader="simple", color=_OUTLINE, name="rest shape"
     )
-    for i, thing in enumerate(plot.objects):
-        thing.id = i + 1  # else an address in memory: the same results are the same bytes
+    for i, item in enumerate(plot.objects):
+        item.id = i + 1  # otherwise an address in memory: the same results are the same bytes
     return base64.b64encode(plot.get_binary_snapshot()).decode("ascii")
 
 
-def _rounded(points: NDArray[np.float32], size: float) -> NDArray[np.float32]:
+def _round_points(points: NDArray[np.float32], size: float) -> NDArray[np.float32]:
     grain = 2.0 ** np.ceil(np.log2(max(size, 1e-30))) * _GRAIN
     return np.asarray(np.round(np.nan_to_num(points) / grain) * grain, dtype=np.float32)
 
 
-def _places(ratio: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
+def _place_on_map(ratio: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
     """Return the places of volume ratios on the color map, 0 to 254; -1 where inverted."""
     place = np.clip(((ratio - 1) / (2 * radius) + 0.5) * _STEPS, 0, _STEPS).round()
     return np.where(ratio > 0, place, -1.0).astype(np.float32)
 
 
-def _color_map(palette: Palette) -> list[float]:
-    """Return [place, red, green, blue, ...] of the movie's colors, with that of inverted cells before them."""
+def _make_color_map(palette: Palette) -> list[float]:
+    """Return [place, red, green, blue, ...] of the movie's colors, preceded by that of inverted cells."""
     span = _STEPS + 1.0
     stops = [(0.0, np.array(INVERTED)), (0.5 / span, np.array(INVERTED))]
     stops += [((i + 1) / span, palette.table[round(i * 255 / _STEPS)]) for i in range(0, _STEPS + 1, 2)]
     return [float(v) for place, rgb in stops for v in (place, *(rgb / 255))]
 
 
-def _program() -> str:
-    """Return k3d's viewer, base64 of zlib, without its fonts for formulas: a third of it, and nothing here has any."""
+def _pack_viewer() -> str:
+    """Return k3d's viewer, zlib and base64, without its unused fonts for formulas, a third of it."""
     program = files("k3d").joinpath("static/standalone.js").read_bytes()
     program = re.sub(rb"data:font/woff2;base64,[A-Za-z0-9+/=]+", b"data:,", program)
     program = re.sub(rb',url\(fonts/[^)]*\) format\("\w+"\)', b"", program)
     return base64.b64encode(zlib.compress(program, 9)).decode("ascii")
 
 
-def _licenses() -> str:
-    """Return the licenses of k3d and of what is inside its viewer."""
-    own = [
+def _read_licenses() -> str:
+    """Return the licenses of k3d and of the libraries inside its viewer."""
+    licenses = [
         path.read_text() for path in distribution("k3d").files or () if path.parts[-2:] == ("licenses", "LICENSE.txt")
     ]
-    return "\n".join([*own, files("k3d").joinpath("static/standalone.js.LICENSE.txt").read_text(encoding="utf-8")])
+    return "\n".join([*licenses, files("k3d").joinpath("static/standalone.js.LICENSE.txt").read_text(encoding="utf-8")])

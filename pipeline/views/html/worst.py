@@ -1,4 +1,4 @@
-"""The cells whose volume changed most, found a few frames at a time."""
+"""The cells with the largest volume change, searched a few frames at a time."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -11,12 +11,12 @@ from pipeline.mesh.simplex import Mesh
 if TYPE_CHECKING:
     import xarray
 
-_VALUES = 4_000_000  # of volume ratios read at once: 32 MB
+_VALUES = 4_000_000  # volume ratios read at once: 32 MB
 
 
 @dataclass(frozen=True)
 class WorstCell:
-    """A cell at its largest |V / V0 - 1|: its ratio, when [s], and where its middle lies at rest [m]."""
+    """A cell at its largest |V / V0 - 1|: its volume ratio, the time [s], and its center at rest [m]."""
 
     cell: int
     volume_ratio: float
@@ -25,10 +25,10 @@ class WorstCell:
 
 
 def find_worst_cells(statistics: "xarray.Dataset", mesh: Mesh, count: int) -> list[WorstCell]:
-    """Return the cells with the largest |V / V0 - 1| of all frames, the worst first; only finite ratios count."""
-    ratio, frame = _extremes(statistics["volume_ratio"])
+    """Return the cells with the largest |V / V0 - 1| of all frames, worst first; NaN is ignored."""
+    ratio, frame = _find_extremes(statistics["volume_ratio"])
     change = np.abs(ratio - 1)
-    # by index among equals: symmetric bodies have equal cells, and the page must not depend on rounding of a sort
+    # ties are broken by index: symmetric bodies have equal cells, and the page must not depend on the sort
     order = np.lexsort((np.arange(len(change)), -change))[:count]
     middles = mesh.points[mesh.cells[order]].mean(axis=1)
     times = statistics["time"].values[frame[order]]
@@ -38,16 +38,16 @@ def find_worst_cells(statistics: "xarray.Dataset", mesh: Mesh, count: int) -> li
     ]
 
 
-def _extremes(ratios: "xarray.DataArray") -> tuple[Floats, np.ndarray]:
-    """Return every cell's ratio that is farthest from one, and its frame; one in frame 0 where none is finite."""
+def _find_extremes(ratios: "xarray.DataArray") -> tuple[Floats, np.ndarray]:
+    """Return every cell's ratio farthest from 1, and its frame; 1 in frame 0 if none is finite."""
     frames, cells = ratios.sizes["time"], ratios.sizes["cell"]
-    found, when = np.ones(cells), np.zeros(cells, dtype=np.int64)
+    extreme, frame = np.ones(cells), np.zeros(cells, dtype=np.int64)
     block = max(1, _VALUES // cells)
     for start in range(0, frames, block):
         values = ratios.isel(time=slice(start, start + block)).transpose("time", "cell").values
         values = np.where(np.isfinite(values), values, 1.0)
         index = np.abs(values - 1).argmax(axis=0)
         here = values[index, np.arange(cells)]
-        better = np.abs(here - 1) > np.abs(found - 1)
-        found[better], when[better] = here[better], start + index[better]
-    return found, when
+        farther = np.abs(here - 1) > np.abs(extreme - 1)
+        extreme[farther], frame[farther] = here[farther], start + index[farther]
+    return extreme, frame
