@@ -14,23 +14,24 @@ from pipeline.formats.cell_types import CORNERS
 class LazyArrays(Mapping[str, NDArray[Any]]):
     """Arrays by name, each decoded anew on every access, which raises SeriesError if it fails.
 
-    `nbytes` is the memory that the encoded arrays take.
+    `decode(array, name)` decodes one; `nbytes` is the memory that the encoded arrays take. There is one function for
+    all arrays because a thousand cached frames hold many objects for the garbage collector.
     """
 
-    def __init__(self, decoders: Mapping[str, Callable[[], NDArray[Any]]], nbytes: int) -> None:
-        self._decoders, self.nbytes = decoders, nbytes
+    def __init__(self, encoded: Mapping[str, Any], decode: Callable[[Any, str], NDArray[Any]], nbytes: int) -> None:
+        self._encoded, self._decode, self.nbytes = encoded, decode, nbytes
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        return self._decoders[name]()
+        return self._decode(self._encoded[name], name)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._decoders)
+        return iter(self._encoded)
 
     def __len__(self) -> int:
-        return len(self._decoders)
+        return len(self._encoded)
 
     def __repr__(self) -> str:
-        return f"LazyArrays({', '.join(self._decoders)})"
+        return f"LazyArrays({', '.join(self._encoded)})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

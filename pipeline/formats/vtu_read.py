@@ -12,7 +12,7 @@ import re
 import struct
 import zlib
 from binascii import a2b_base64
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -157,8 +157,8 @@ def _parse_file(file: Path) -> Grid:
 
 
 def _make_lazy(group: dict[str, Packed], file: Path) -> LazyArrays:
-    decoders = {name: partial(unpack, array, file, name) for name, array in group.items()}
-    return LazyArrays(decoders, sum(len(array.text) for array in group.values()))
+    nbytes = sum(len(array.text) for array in group.values())
+    return LazyArrays(group, lambda array, name: unpack(array, file, name), nbytes)
 
 
 def _take_out_texts(content: bytes) -> tuple[bytes, dict[bytes, bytes]]:
