@@ -1,4 +1,4 @@
-"""For `make test-paraview` alone: a plain `pytest` does not look here, as ParaView is a gigabyte."""
+"""For `make test-paraview` only: a plain `pytest` skips this folder, as ParaView takes a gigabyte."""
 
 import shutil
 

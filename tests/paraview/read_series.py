@@ -1,4 +1,4 @@
-"""Run by pvbatch: what ParaView reads of a series, as JSON on the last line."""
+"""Run by pvbatch: prints the series as ParaView reads it, as JSON on the last line."""
 
 import json
 import sys
@@ -9,7 +9,7 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 reader = simple.PVDReader(FileName=sys.argv[1])
 reader.UpdatePipeline()
 times = list(reader.TimestepValues)
-told = {"version": str(simple.GetParaViewVersion()), "times": times, "frames": []}
+content = {"version": str(simple.GetParaViewVersion()), "times": times, "frames": []}
 for time in times:
     reader.UpdatePipeline(time)
     grid = servermanager.Fetch(reader)
@@ -21,5 +21,5 @@ for time in times:
             array = data.GetArray(i)
             lengths = [array.GetNumberOfComponents(), array.GetNumberOfTuples()]
             frame[kind + " " + array.GetName()] = [*lengths, array.GetDataTypeAsString(), *array.GetRange(0)]
-    told["frames"].append(frame)
-print(json.dumps(told))
+    content["frames"].append(frame)
+print(json.dumps(content))

@@ -1,4 +1,4 @@
-"""Debian's ParaView itself: what it reads of every writer, and the script that each run leaves."""
+"""Debian's ParaView: it reads the files of every writer and runs the script of each result folder."""
 
 import json
 import shutil
@@ -19,9 +19,9 @@ SCREEN = ["xvfb-run", "-a", "-s", "-noreset -screen 0 1280x800x24"]
 DTYPES = {"float64": "double", "float32": "float"}
 
 
-def paraview(*command, code=0):
-    """The last line that a program of ParaView prints; run in another folder, so that no path works by chance."""
-    limit = ["timeout", "-k", "5", "180"]  # of the program itself: what xvfb-run starts outlives it
+def run_paraview(*command, code=0):
+    """The last line that a ParaView program prints; it runs in /, so that no relative path works by chance."""
+    limit = ["timeout", "-k", "5", "180"]  # of the program itself: it would outlive xvfb-run
     done = subprocess.run([*SCREEN, *limit, *map(str, command)], capture_output=True, text=True, cwd="/")
     assert done.returncode == code, done.stdout + done.stderr
     return (done.stdout.strip() or done.stderr.strip()).rpartition("\n")[2]
@@ -43,20 +43,20 @@ def test_it_reads_times_names_components_types_and_ranges(run):
     kind, result = run
     folder = result.variants[0].folder
     if kind == "vtkhdf":
-        said = paraview("pvbatch", result.folder / "open_in_paraview.py", code=1)
-        assert "needs ParaView 5.13 or newer" in said
+        message = run_paraview("pvbatch", result.folder / "open_in_paraview.py", code=1)
+        assert "needs ParaView 5.13 or newer" in message
         return
-    told = json.loads(paraview("pvbatch", HERE / "read_series.py", folder / "series.pvd"))
+    content = json.loads(run_paraview("pvbatch", HERE / "read_series.py", folder / "series.pvd"))
     series = read_series(folder)
-    assert told["times"] == list(series.times)
-    for i, frame in enumerate(told["frames"]):
+    assert content["times"] == list(series.times)
+    for i, frame in enumerate(content["frames"]):
         grid = series.read_grid(i)
         assert np.array_equal(frame["points"], grid.points) and frame["cells"] == len(grid.types)
-        wanted = {}
+        expected = {}
         for data, values in (("point", grid.point_data), ("cell", grid.cell_data), ("field", grid.field_data)):
-            wanted |= {f"{data} {name}": value for name, value in values.items()}
-        assert frame.keys() - {"points", "cells"} == wanted.keys()
-        for name, value in wanted.items():
+            expected |= {f"{data} {name}": value for name, value in values.items()}
+        assert frame.keys() - {"points", "cells"} == expected.keys()
+        for name, value in expected.items():
             rows = value.reshape(len(value), -1)
             components, tuples, dtype, low, high = frame[name]
             assert (components, tuples) == (rows.shape[1], len(rows)), name
@@ -71,15 +71,15 @@ def test_the_script_draws_the_variants(run, tmp_path):
         return
     moved = tmp_path / "moved"
     shutil.copytree(result.folder, moved)
-    shutil.rmtree(result.folder / result.variants[0].name)  # what is drawn is what lies beside the script
+    shutil.rmtree(result.folder / result.variants[0].name)  # only the files beside the script may be drawn
     picture = tmp_path / "picture.png"
     end = read_series(moved / "polar").times[-1]
-    paraview("pvbatch", moved / "open_in_paraview.py", "--screenshot", picture, "--time", end)
-    assert_drawn(picture)
+    run_paraview("pvbatch", moved / "open_in_paraview.py", "--screenshot", picture, "--time", end)
+    check_drawn(picture)
 
 
 def test_the_script_works_in_the_window(tmp_path, monkeypatch):
-    """ParaView's window does not tell a script where it lies."""
+    """ParaView's window hides the path of a script from it."""
     without_figures(monkeypatch)
     folder = run_campaign(load_case(write_case(tmp_path)), tmp_path / "out", movie=False).folder
     script = folder / "open_in_paraview.py"
@@ -88,14 +88,14 @@ def test_the_script_works_in_the_window(tmp_path, monkeypatch):
         f"simple.SaveScreenshot({str(picture)!r}, simple.GetActiveView(), ImageResolution=[1280, 720])\nos._exit(0)\n"
     )
     script.write_text(script.read_text() + more)
-    paraview("paraview", "--dr", f"--script={script}")  # --dr: no settings, no welcome that waits for a click
-    assert_drawn(picture)
+    run_paraview("paraview", "--dr", f"--script={script}")  # --dr: no settings, no welcome that waits for a click
+    check_drawn(picture)
 
 
-def assert_drawn(picture):
-    """Bodies in the middle, the bar's blue and red below, ink for the texts, and white around."""
-    with Image.open(picture) as opened:
-        pixels = np.asarray(opened.convert("RGB")).astype(int)
+def check_drawn(picture):
+    """Bodies in the middle, the blue and red of the color bar below, white around."""
+    with Image.open(picture) as image:
+        pixels = np.asarray(image.convert("RGB")).astype(int)
     height = len(pixels)
     assert (pixels[: height // 8] == 255).all(axis=-1).mean() > 0.95
     middle = pixels[height // 4 : 3 * height // 4]

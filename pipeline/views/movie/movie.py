@@ -1,5 +1,6 @@
 """The movie of recorded series side by side at the same times: an .mp4 and a poster."""
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,8 +56,8 @@ class Timeline:
 
 
 def write_movie(
-    series: Sequence[Series], labels: Sequence[str], path: Path, *, title: str, poster: Path | None = None,
-    speed: float = 1.0, fps: float = 30, size: tuple[int, int] = (1280, 720),
+    series: Sequence[Series], labels: Sequence[str], path: str | os.PathLike[str], *, title: str,
+    poster: str | os.PathLike[str] | None = None, speed: float = 1.0, fps: float = 30, size: tuple[int, int] = (1280, 720),
     on_frame: Callable[[int, int], None] | None = None,
 ) -> MovieSummary:  # fmt: skip
     """Write one to four series side by side as H.264, and the moment of the largest volume change as a PNG.
@@ -72,10 +73,10 @@ def write_movie(
     with _Studio(tracks, title, size, _describe_speed(line)) as studio:
         moment = find_poster_time(tracks)
         if poster is not None:
-            with whole_file(poster) as temporary:
+            with whole_file(Path(poster)) as temporary:
                 studio.draw(moment).save(temporary, format="PNG", optimize=True)
         studio.scenes = 0  # those of the film
-        with Encoder(path, size, fps) as encoder:
+        with Encoder(Path(path), size, fps) as encoder:
             for k in range(line.frames):
                 encoder.write(studio.draw(line.find_time(k)).tobytes())
                 if on_frame is not None:
