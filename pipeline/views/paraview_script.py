@@ -27,7 +27,7 @@ PICTURE_SIZE = [1280, 720]
 
 
 def find_folder() -> str:
-    """Return the folder of this file; ParaView's window hides it: then where it was written, or the working folder."""
+    """Return the folder of this file; in ParaView's window, which hides it, the one it was written to or started in."""
     own = [os.path.dirname(os.path.abspath(__file__))] if "__file__" in globals() else []
     for folder in [*own, FOLDER, os.getcwd()]:
         if os.path.isfile(os.path.join(folder, *VARIANTS[0][1].split("/"))):

@@ -84,7 +84,7 @@ def test_the_page_is_well_formed_and_self_contained(text):
     links = [address for tag in ("a", "link") for address in reader.all(tag, "href")]
     assert links and {link[1:] for link in links} <= set(ids)
     assert not [
-        one for tag in ("script", "img", "video", "iframe") for one in reader.all(tag, "src") if one[:5] != "data:"
+        url for tag in ("script", "img", "video", "iframe") for url in reader.all(tag, "src") if url[:5] != "data:"
     ]
     policy = next(a["content"] for t, a in reader.tags if t == "meta" and "http-equiv" in a)
     assert "default-src 'none'" in policy and "http" not in policy and "unsafe-eval" not in policy
@@ -131,9 +131,9 @@ def test_a_scene_holds_the_frames(folder, text):
     scene = msgpack.unpackb(zlib.decompress(base64.b64decode(packed)))
     vertices, series = scene["objects"][0]["vertices"], read_series(folder / "linear")
     assert [key for key in vertices if key.isdigit()] == [str(i) for i in range(len(series))]
-    kept = np.frombuffer(vertices["4"]["data"], np.float32).reshape(-1, 3)
+    points = np.frombuffer(vertices["4"]["data"], np.float32).reshape(-1, 3)
     # all nodes of this beam lie on its surface
-    assert np.abs(kept - series.read_frame(4).x).max() < series.mesh.size * 2**-15
+    assert np.abs(points - series.read_frame(4).x).max() < series.mesh.size * 2**-15
 
 
 def test_without_k3d_the_page_has_the_rest(folder, monkeypatch, tmp_path):
@@ -228,12 +228,12 @@ def test_the_page_of_anybodys_series(folder, tmp_path, monkeypatch, capsys):
     hostile = read_series(folder / "linear", name="</script><i>name")
     text = report_of_analysis(analyze(hostile, tmp_path / "hostile"), [hostile], "").read_text(encoding="utf-8")
     assert read_data(text)["labels"] == ["</script><i>name"] and Reader(text).wrong == [] and "<i>" not in text
-    two = [one, read_series(folder / "polar", name="linear")]
-    text = report_of_analysis(compare(two, tmp_path / "two"), two, "").read_text(encoding="utf-8")
+    pair = [one, read_series(folder / "polar", name="linear")]
+    text = report_of_analysis(compare(pair, tmp_path / "two"), pair, "").read_text(encoding="utf-8")
     assert read_data(text)["labels"] == ["linear", "linear_2"] and "Difference of nodes" not in text
-    found = compare(two, tmp_path / "apart", difference=True)
-    text = report_of_analysis(found, two, "").read_text(encoding="utf-8")
-    assert "from those of linear" in text and f">{found.node_distances[0].worst:.4g}</td>" in text
+    comparison = compare(pair, tmp_path / "apart", difference=True)
+    text = report_of_analysis(comparison, pair, "").read_text(encoding="utf-8")
+    assert "from those of linear" in text and f">{comparison.node_distances[0].worst:.4g}</td>" in text
     out = (tmp_path / "three").as_posix()
     source = (folder / "linear").as_posix()
     assert main(["analyze", source, "--report", "--rest", "rest_position", "--out", out]) == 0
@@ -261,13 +261,13 @@ def test_report_and_view_on_the_command_line(folder, monkeypatch, capsys):
     assert "no browser could be started" in capsys.readouterr().err
 
 
-def test_what_is_no_result_folder_is_told_in_a_line(tmp_path, capsys):
+def test_a_folder_without_a_result_is_a_message_of_one_line(tmp_path, capsys):
     for verb in ("report", "view"):
         assert main([verb, str(tmp_path / "none")]) == 2
-        assert "CaseError: " in (said := capsys.readouterr().err) and said.count("\n") == 1 and "none" in said
+        assert "CaseError: " in (message := capsys.readouterr().err) and message.count("\n") == 1 and "none" in message
 
 
-def test_a_case_with_a_mesh_file_is_known_from_its_result_folder(tmp_path, monkeypatch, project_root):
+def test_the_result_folder_of_a_case_with_a_mesh_file_is_recognized(tmp_path, monkeypatch, project_root):
     """Seen from there the file has another name; a page and a movie of such a folder were refused."""
     without_figures(monkeypatch)
     (tmp_path / "meshes").mkdir()

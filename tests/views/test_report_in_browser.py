@@ -235,14 +235,14 @@ def test_every_control_has_a_name_and_takes_the_focus(page):
     for _ in range(30):
         page.keyboard.press("Tab")
         seen.add(page.evaluate(FOCUSED))
-    assert {"time", "reset", "closer", "wider", "whole"} <= seen and any("view" in one.split() for one in seen)
+    assert {"time", "reset", "closer", "wider", "whole"} <= seen and any("view" in name.split() for name in seen)
 
 
 def test_dark_and_light(page, open_page):
     dark = open_page(scheme="dark")
     grounds = []
-    for one in (page, dark):
-        picture, body = take_pixels(one, "h1"), take_pixels(one, ".view")
+    for tab in (page, dark):
+        picture, body = take_pixels(tab, "h1"), take_pixels(tab, ".view")
         grounds.append(picture[0, 0].mean())
         ink = np.abs(picture - picture[0, 0]).max()
         assert ink > 180, "texts are readable"

@@ -160,7 +160,7 @@ def _round_points(points: NDArray[np.float32], size: float) -> NDArray[np.float3
 
 
 def _place_on_map(ratio: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
-    """Return the places of volume ratios on the color map, 0 to 254; -1 where inverted."""
+    """Return the places of volume ratios on the color map, 0 to 254; -1 if inverted."""
     place = np.clip(((ratio - 1) / (2 * radius) + 0.5) * _STEPS, 0, _STEPS).round()
     return np.where(ratio > 0, place, -1.0).astype(np.float32)
 

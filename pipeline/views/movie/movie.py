@@ -57,8 +57,8 @@ class Timeline:
 
 def write_movie(
     series: Sequence[Series], labels: Sequence[str], path: str | os.PathLike[str], *, title: str,
-    poster: str | os.PathLike[str] | None = None, speed: float = 1.0, fps: float = 30, size: tuple[int, int] = (1280, 720),
-    on_frame: Callable[[int, int], None] | None = None,
+    poster: str | os.PathLike[str] | None = None, speed: float = 1.0, fps: float = 30,
+    size: tuple[int, int] = (1280, 720), on_frame: Callable[[int, int], None] | None = None,
 ) -> MovieSummary:  # fmt: skip
     """Write one to four series side by side as H.264, and the moment of the largest volume change as a PNG.
 
