@@ -20,7 +20,7 @@ from pipeline.formats.sandbox import GIGABYTES, Reader
 from pipeline.mesh.files import read_mesh
 from pipeline.series import read_series
 from tests.bodies import write_case
-from tests.series.test_series import CELLS, grid_at, pvd, written
+from tests.series.test_series import CELLS, make_grid, write_pvd, write_series
 
 BAD = """
 import os, signal, time
@@ -160,9 +160,9 @@ def test_a_child_follows_to_another_folder_and_messages_say_the_name_that_was_gi
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         monkeypatch.chdir(tmp_path / name)
-        grid_at(0).save(f"{name}.vtu")
+        make_grid(0).save(f"{name}.vtu")
         assert len(read_series(f"{name}.vtu")) == 1
-        meshio.write(f"{name}.vtk", meshio.Mesh(grid_at(0).points, [("tetra", CELLS)]))
+        meshio.write(f"{name}.vtk", meshio.Mesh(make_grid(0).points, [("tetra", CELLS)]))
         assert len(read_mesh(Path(f"{name}.vtk")).cells) == len(CELLS)
     Path("b.vtk").write_text("junk")
     with pytest.raises(MeshError, match=r"^b\.vtk: meshio cannot read it \((?!.*two/b\.vtk)"):
@@ -173,7 +173,7 @@ def test_a_child_follows_to_another_folder_and_messages_say_the_name_that_was_gi
 
 
 def declared(folder, *, points="27", cells="1000000000", compressor='compressor="vtkZLibDataCompressor"'):
-    grid_at(0).save(folder / "f0.vtu")
+    make_grid(0).save(folder / "f0.vtu")
     text = (folder / "f0.vtu").read_text()
     text = re.sub(r'compressor="\w+"', compressor, text)
     text = re.sub(r'NumberOfPoints="\d+"', f'NumberOfPoints="{points}"', text)
@@ -193,7 +193,7 @@ def test_a_billion_cells_in_a_small_file_are_not_believed(tmp_path, points, comp
 
 
 def test_points_of_a_legacy_file_too(tmp_path):
-    grid_at(0).save(tmp_path / "f0.vtk", binary=False)
+    make_grid(0).save(tmp_path / "f0.vtk", binary=False)
     text = (tmp_path / "f0.vtk").read_text()
     (tmp_path / "f0.vtk").write_text(re.sub(r"POINTS \d+", "POINTS 1000000000", text))
     with pytest.raises(SeriesError, match="declares 1000000000 points"):
@@ -248,8 +248,8 @@ def test_names_that_leave_the_folder(name, bad):
 
 def test_an_index_outside_its_folder_is_refused(tmp_path):
     (tmp_path / "in").mkdir()
-    written(tmp_path)
-    path = pvd(tmp_path / "in", [(0.0, "../f0.vtu")])
+    write_series(tmp_path)
+    path = write_pvd(tmp_path / "in", [(0.0, "../f0.vtu")])
     with pytest.raises(SeriesError, match=r"names a file outside its own folder \(../f0.vtu\)"):
         read_series(path)
     (tmp_path / "in" / "a.vtu.series").write_text('{"files": [{"name": "../f0.vtu", "time": 0}]}')
@@ -265,7 +265,7 @@ def test_an_index_outside_its_folder_is_refused(tmp_path):
 
 
 def test_a_file_that_kills_its_reader_is_one_line(tmp_path, capfd, monkeypatch):
-    grid_at(0).save(tmp_path / "f0.vtu", binary=False)  # for VTK to read
+    make_grid(0).save(tmp_path / "f0.vtu", binary=False)  # for VTK to read
     (tmp_path / "bad.py").write_text(BAD)
     monkeypatch.syspath_prepend(tmp_path)
     genuine, own = Reader.read, Reader()
@@ -309,7 +309,7 @@ def test_our_own_frames_need_no_child(tmp_path, monkeypatch):
 
 
 def test_meshes_of_meshio_come_over_whole(tmp_path):
-    meshio.write(tmp_path / "a.msh", meshio.Mesh(grid_at(0).points, [("tetra", CELLS)]), file_format="gmsh")
+    meshio.write(tmp_path / "a.msh", meshio.Mesh(make_grid(0).points, [("tetra", CELLS)]), file_format="gmsh")
     mesh = read_mesh(tmp_path / "a.msh")
     assert np.array_equal(mesh.cells, CELLS)
 
@@ -329,7 +329,7 @@ def test_cells_that_are_none(tmp_path, name, old, new, words):
 
     writer = vtk.vtkXMLUnstructuredGridWriter()
     writer.SetFileName(str(tmp_path / "f0.vtu"))
-    writer.SetInputData(grid_at(0))
+    writer.SetInputData(make_grid(0))
     writer.SetDataModeToAscii()
     writer.Write()
     text = (tmp_path / "f0.vtu").read_text()

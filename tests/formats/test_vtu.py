@@ -17,12 +17,22 @@ from pipeline.series import read_series
 from pipeline.series import xarray_plugin as engine
 from pipeline.series.dataset_writer import write_pvd_series
 from pipeline.series.frame_files import read_grid
-from tests.series.test_series import CELLS, POINTS, TIMES, fields, grid_at, moved, opened, pvd, written
+from tests.series.test_series import (
+    CELLS,
+    POINTS,
+    TIMES,
+    make_grid,
+    move_points,
+    open_lazily,
+    write_fields,
+    write_pvd,
+    write_series,
+)
 
 
 def rich(t: float = 0.1) -> pyvista.UnstructuredGrid:
     """A frame with a field of every kind."""
-    grid = grid_at(t, numbers=True)
+    grid = make_grid(t, numbers=True)
     rng = np.random.default_rng(1)
     for name, dtype in (("bytes", "u1"), ("short", "i2"), ("counts", "u4"), ("ids", "i8"), ("half", "f4")):
         grid.point_data[name] = rng.integers(0, 99, len(POINTS)).astype(dtype)
@@ -79,16 +89,16 @@ def test_other_writers_too(tmp_path):
 
     rich().save(tmp_path / "pyvista.vtu")
     assert_same(tmp_path / "pyvista.vtu")
-    data = {"u": moved(0.3), "k": np.arange(len(POINTS))}
+    data = {"u": move_points(0.3), "k": np.arange(len(POINTS))}
     for compression in ("zlib", None):
         meshio.write(tmp_path / "m.vtu", meshio.Mesh(POINTS, [("tetra", CELLS)], data), compression=compression)
         assert_same(tmp_path / "m.vtu")
-    dataset = opened(fields(tmp_path))
+    dataset = open_lazily(write_fields(tmp_path))
     dataset.attrs["title"] = "wörds <&>"
     path = write_pvd_series(dataset, tmp_path / "ours.pvd")
     for frame in sorted((tmp_path / "ours").iterdir()):
         assert_same(frame)
-    assert opened(path).attrs["title"] == "wörds <&>"
+    assert open_lazily(path).attrs["title"] == "wörds <&>"
 
 
 @pytest.mark.parametrize("way", [{"mode": "ascii"}, {"mode": "appended"}, {"compressor": "lz4"}])
@@ -280,13 +290,13 @@ def test_damage_is_told_and_never_taken_for_numbers(tmp_path):
 
 
 def test_a_damaged_field_costs_only_who_asks_for_it(tmp_path):
-    source = written(tmp_path, numbers=True)
+    source = write_series(tmp_path, numbers=True)
     path = tmp_path / "f1.vtu"
     text = path.read_text()
     start = text.index(">", text.index('Name="speed"')) + 60
     path.write_text(text[:start] + ("A" if text[start] != "A" else "B") + text[start + 1 :])
     assert len(list(read_series(source))) == 3
-    dataset = opened(source)
+    dataset = open_lazily(source)
     assert np.isfinite(dataset["displacement"].values).all()
     with pytest.raises(SeriesError, match=r"f1\.vtu: cannot be read .the array speed"):
         dataset["speed"].load()
@@ -296,19 +306,19 @@ def test_all_fields_cost_one_reading_of_each_frame(tmp_path, monkeypatch):
     counts = []
     read = vtu_read._parse_file
     monkeypatch.setattr(vtu_read, "_parse_file", lambda file: counts.append(file.name) or read(file))
-    source = written(tmp_path, numbers=True)
-    opened(source).load()
+    source = write_series(tmp_path, numbers=True)
+    open_lazily(source).load()
     assert counts.count("f1.vtu") <= 2  # once to see whether the points move
     counts.clear()
     monkeypatch.setattr(engine, "_KEPT_BYTES", 0)  # a series that is too long
-    opened(source).load()
+    open_lazily(source).load()
     assert counts.count("f1.vtu") == 3
 
 
 @pytest.mark.parametrize("mode", ["inline", "appended"])
 def test_points_are_counted_and_cells_held_once(tmp_path, monkeypatch, mode):
     for i in range(12):
-        saved(grid_at(i / 10), tmp_path / f"f{i:02}.vtu", mode=mode, compressor="none")
+        saved(make_grid(i / 10), tmp_path / f"f{i:02}.vtu", mode=mode, compressor="none")
     store = engine.FrameStore(read_series(tmp_path), SerializableLock())
     grids = [store.read_grid(i) for i in range(12)]
     size = grids[0].nbytes
@@ -323,25 +333,25 @@ def test_points_are_counted_and_cells_held_once(tmp_path, monkeypatch, mode):
 
 
 def test_cells_that_change_are_seen_by_every_field(tmp_path):
-    source = written(tmp_path, numbers=True)
+    source = write_series(tmp_path, numbers=True)
     cells = CELLS.copy()
     cells[0] = cells[1]
-    grid = pyvista.UnstructuredGrid({10: cells}, moved(0.1))
+    grid = pyvista.UnstructuredGrid({10: cells}, move_points(0.1))
     grid.point_data["speed"] = np.zeros(len(POINTS))
     grid.save(tmp_path / "f1.vtu")
     with pytest.raises(SeriesError, match=r"f1\.vtu: its cells are not those of the first frame"):
-        opened(source)["speed"].load()
+        open_lazily(source)["speed"].load()
 
 
 def test_any_part_of_a_field(tmp_path):
-    dataset, whole = opened(fields(tmp_path)), opened(fields(tmp_path)).load()
+    dataset, whole = open_lazily(write_fields(tmp_path)), open_lazily(write_fields(tmp_path)).load()
     for key in ({"time": 1}, {"node": [5, 2, 2]}, {"node": 3, "axis": [0, 2]}, {"time": slice(None, None, -1)},
                 {"time": [2, 0], "node": slice(1, 9, 3), "axis": 1}, {"time": [], "node": 3}):  # fmt: skip
         xarray.testing.assert_identical(dataset["displacement"].isel(key), whole["displacement"].isel(key))
 
 
 def test_points_of_the_body_are_probed(tmp_path):
-    dataset = opened(fields(tmp_path))
+    dataset = open_lazily(write_fields(tmp_path))
     points = np.array([[0.3, 1.2, 0.7], [2, 2, 2], [0, 0, 0], [1.99, 0.01, 1.5]])
     found = dataset.deformation.probe("displacement", points)
     assert found.dims == ("time", "point", "axis") and found.attrs == dataset["displacement"].attrs
@@ -362,27 +372,29 @@ def test_points_of_the_body_are_probed(tmp_path):
 def test_probing_chunks_of_dask(tmp_path):
     pytest.importorskip("dask")
     points = [[0.3, 1.2, 0.7]]
-    lazy = opened(fields(tmp_path), chunks={}).deformation.probe("displacement", points)
+    lazy = open_lazily(write_fields(tmp_path), chunks={}).deformation.probe("displacement", points)
     assert lazy.chunks is not None
-    assert lazy.values == pytest.approx(opened(fields(tmp_path)).deformation.probe("displacement", points).values)
+    assert lazy.values == pytest.approx(
+        open_lazily(write_fields(tmp_path)).deformation.probe("displacement", points).values
+    )
 
 
 def test_cells_are_extracted_with_their_nodes(tmp_path):
-    dataset = opened(fields(tmp_path))
+    dataset = open_lazily(write_fields(tmp_path))
     chosen = [7, 2]
     part = dataset.deformation.extract(chosen)
     assert part.sizes["cell"] == 2 and part.sizes["node"] == len(np.unique(CELLS[chosen]))
     xarray.testing.assert_equal(part.deformation.volume_ratio(), dataset.deformation.volume_ratio().isel(cell=chosen))
     mask = np.isin(np.arange(len(CELLS)), chosen)
     assert dataset.deformation.extract(mask)["connectivity"].attrs == dataset["connectivity"].attrs
-    xarray.testing.assert_identical(opened(part.deformation.to_pvd(tmp_path / "part.pvd")), part)
+    xarray.testing.assert_identical(open_lazily(part.deformation.to_pvd(tmp_path / "part.pvd")), part)
 
 
 def test_a_series_that_is_not_inline_is_a_dataset_too(tmp_path):
     for i, t in enumerate(TIMES):
         saved(rich(t), tmp_path / f"f{i}.vtu", mode="appended")
-    source = pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
-    appended = opened(source).load()
+    source = write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
+    appended = open_lazily(source).load()
     for i, t in enumerate(TIMES):
         saved(rich(t), tmp_path / f"f{i}.vtu")
-    xarray.testing.assert_identical(opened(source).load(), appended)
+    xarray.testing.assert_identical(open_lazily(source).load(), appended)

@@ -12,19 +12,19 @@ from pipeline.results.analysis_folder import analyze, compare
 from pipeline.series import read_series
 from tests.bodies import assert_conventional, without_figures
 from tests.measured import measure_series
-from tests.series.test_series import CELLS, GROWTH, POINTS, TIMES, grid_at, moved, pvd, written
+from tests.series.test_series import CELLS, GROWTH, POINTS, TIMES, make_grid, move_points, write_pvd, write_series
 
 
-def series_at(folder, times, name="their", grow=lambda t: t):
+def make_series(folder, times, name="their", grow=lambda t: t):
     folder.mkdir(exist_ok=True)
     for i, t in enumerate(times):
-        grid_at(grow(t)).save(folder / f"f{i}.vtu")
-    return read_series(pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(times)]), name=name)
+        make_grid(grow(t)).save(folder / f"f{i}.vtu")
+    return read_series(write_pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(times)]), name=name)
 
 
 def test_an_analysis_is_the_dataset_of_the_series(tmp_path):
     seen = []
-    source = written(tmp_path)
+    source = write_series(tmp_path)
     result = analyze(source, tmp_path / "out", on_frame=lambda *args: seen.append(args))
     assert [path.name for path in result.files] == ["statistics.nc", "volume.png"]
     assert all(path.stat().st_size for path in result.files)
@@ -40,18 +40,18 @@ def test_an_analysis_is_the_dataset_of_the_series(tmp_path):
 def test_what_not_every_frame_says_is_nan_there(tmp_path, monkeypatch):
     without_figures(monkeypatch)
     for i, t in enumerate(TIMES):
-        grid = grid_at(t)
+        grid = make_grid(t)
         if i != 1:
             grid.field_data["kinetic_energy"] = [2.0]
         grid.save(tmp_path / f"f{i}.vtu")
-    result = analyze(pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)]), tmp_path / "out")
+    result = analyze(write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)]), tmp_path / "out")
     with xarray.open_dataset(result.files[0]) as dataset:
         np.testing.assert_equal(dataset["kinetic_energy"].values, [2.0, np.nan, 2.0])
 
 
 def test_a_series_that_breaks_off_leaves_nothing_half_written(tmp_path):
-    source = written(tmp_path)
-    pyvista.UnstructuredGrid({10: CELLS[:-1]}, moved(0.1)).save(tmp_path / "f1.vtu")
+    source = write_series(tmp_path)
+    pyvista.UnstructuredGrid({10: CELLS[:-1]}, move_points(0.1)).save(tmp_path / "f1.vtu")
     with pytest.raises(SeriesError, match="topology changes"):
         analyze(source, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []
@@ -68,7 +68,7 @@ def test_memory_does_not_grow_with_the_frames(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.results.analysis_folder._DRAWN_VALUES", 4 * grid.n_cells)
     peaks = []
     for count in (4, 4, 80):  # once before: imports and compiled kernels stay
-        source = pvd(tmp_path, [(float(k), f"f{k % 3}.vtu") for k in range(count)])
+        source = write_pvd(tmp_path, [(float(k), f"f{k % 3}.vtu") for k in range(count)])
         tracemalloc.start()
         analyze(source, tmp_path / "out")
         peaks.append(tracemalloc.get_traced_memory()[1])
@@ -80,13 +80,13 @@ def test_memory_does_not_grow_with_the_frames(tmp_path, monkeypatch):
 def test_a_long_series_is_drawn_from_some_frames_and_the_worst(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.results.analysis_folder._DRAWN_POINTS", 3 * len(CELLS))
     times = [float(t) for t in range(9)]
-    result = analyze(series_at(tmp_path / "a", times, grow=lambda t: 1.0 if t == 5 else 0.0), tmp_path / "out")
+    result = analyze(make_series(tmp_path / "a", times, grow=lambda t: 1.0 if t == 5 else 0.0), tmp_path / "out")
     assert any("shows 4 of 9 frames, the worst among them" in note for note in result.notes)
 
 
 def test_series_side_by_side(tmp_path):
-    a = series_at(tmp_path / "a", TIMES, "a")
-    b = series_at(tmp_path / "b", TIMES, "a", grow=lambda t: 2 * t)
+    a = make_series(tmp_path / "a", TIMES, "a")
+    b = make_series(tmp_path / "b", TIMES, "a", grow=lambda t: 2 * t)
     result = compare([a, b], tmp_path / "out", difference=True)
     assert [path.name for path in result.files] == ["comparison.nc", "volume.png", "distance.png"]
     with xarray.open_dataset(result.files[0]) as dataset:
@@ -105,21 +105,21 @@ def test_series_side_by_side(tmp_path):
         assert (dataset["volume_ratio_difference"].values[0] == 0).all()
 
 
-def swinging(folder, times, name, grow, velocity=None):
+def make_swinging_series(folder, times, name, grow, velocity=None):
     """A series of deformed points with a velocity; nodes that no cell names come first."""
     folder.mkdir()
     for i, t in enumerate(times):
-        grid = pyvista.UnstructuredGrid({10: CELLS + 2}, np.vstack([np.full((2, 3), 9.0), moved(grow(t))]))
+        grid = pyvista.UnstructuredGrid({10: CELLS + 2}, np.vstack([np.full((2, 3), 9.0), move_points(grow(t))]))
         if velocity:
             grid.point_data["velocity"] = np.full((grid.n_points, 3), velocity(t))
         grid.save(folder / f"f{i}.vtu")
-    return read_series(pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(times)]), name=name)
+    return read_series(write_pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(times)]), name=name)
 
 
 def test_differences_of_the_nodes(tmp_path):
-    a = swinging(tmp_path / "a", TIMES, "a", lambda t: t, lambda t: 1 + t)
-    b = swinging(tmp_path / "b", TIMES, "b", lambda t: t * (0.25 - t) * 30, lambda t: 1 + 3 * t)
-    c = swinging(tmp_path / "c", TIMES, "c", lambda t: 2 * t)
+    a = make_swinging_series(tmp_path / "a", TIMES, "a", lambda t: t, lambda t: 1 + t)
+    b = make_swinging_series(tmp_path / "b", TIMES, "b", lambda t: t * (0.25 - t) * 30, lambda t: 1 + 3 * t)
+    c = make_swinging_series(tmp_path / "c", TIMES, "c", lambda t: 2 * t)
     seen = []
     result = compare([a, b, c], tmp_path / "out", difference=True, on_frame=lambda *args: seen.append(args))
     assert seen[-3:] == [("difference of nodes", k, 3) for k in (1, 2, 3)]
@@ -148,8 +148,8 @@ def test_differences_of_the_nodes(tmp_path):
 
 def test_differences_of_nodes_between_frames(tmp_path, monkeypatch):
     without_figures(monkeypatch)
-    a = swinging(tmp_path / "a", [0.0, 0.3, 0.9], "a", lambda t: t, lambda t: t)
-    b = swinging(tmp_path / "b", [0.0, 0.1 + 0.2, 0.6, 0.8, 1.2], "b", lambda t: t, lambda t: t**2)
+    a = make_swinging_series(tmp_path / "a", [0.0, 0.3, 0.9], "a", lambda t: t, lambda t: t)
+    b = make_swinging_series(tmp_path / "b", [0.0, 0.1 + 0.2, 0.6, 0.8, 1.2], "b", lambda t: t, lambda t: t**2)
     result = compare([b, a], tmp_path / "out", difference=True)
     assert any("on the chord" in note for note in result.notes)
     with xarray.open_dataset(result.files[0]) as dataset:
@@ -161,8 +161,8 @@ def test_differences_of_nodes_between_frames(tmp_path, monkeypatch):
 
 def test_other_times_are_interpolated_and_that_is_said(tmp_path, monkeypatch):
     without_figures(monkeypatch)
-    a = series_at(tmp_path / "a", [0.0, 1.0, 2.0], "a")
-    b = series_at(tmp_path / "b", [0.0, 0.5, 1.5, 2.5], "b")
+    a = make_series(tmp_path / "a", [0.0, 1.0, 2.0], "a")
+    b = make_series(tmp_path / "b", [0.0, 0.5, 1.5, 2.5], "b")
     result = compare([a, b], tmp_path / "out")
     assert any("has the 3 of a from 0 to 2 s" in note and "interpolated" in note for note in result.notes)
     with xarray.open_dataset(result.files[0]) as dataset:
@@ -170,18 +170,18 @@ def test_other_times_are_interpolated_and_that_is_said(tmp_path, monkeypatch):
         between = ((1 + GROWTH * 0.5) ** 3 + (1 + GROWTH * 1.5) ** 3) / 2
         assert dataset["volume_ratio"].sel(variant="b", time=1.0).values == pytest.approx(between)
         assert dataset["volume_ratio_quantile"].sel(variant="b", time=1.0).values == pytest.approx(between)
-    late = series_at(tmp_path / "late", [7.0, 8.0], "late")
+    late = make_series(tmp_path / "late", [7.0, 8.0], "late")
     with pytest.raises(SeriesError, match="late 7 to 8 s"):
         compare([a, late], tmp_path / "out2")
 
 
 def test_other_cells_are_compared_as_whole_bodies(tmp_path, monkeypatch):
     without_figures(monkeypatch)
-    a = series_at(tmp_path / "a", TIMES, "a")
+    a = make_series(tmp_path / "a", TIMES, "a")
     (tmp_path / "b").mkdir()
     for i, t in enumerate(TIMES):
-        pyvista.UnstructuredGrid({10: CELLS[:-1]}, moved(t)).save(tmp_path / "b" / f"f{i}.vtu")
-    b = read_series(pvd(tmp_path / "b", [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)]), name="b")
+        pyvista.UnstructuredGrid({10: CELLS[:-1]}, move_points(t)).save(tmp_path / "b" / f"f{i}.vtu")
+    b = read_series(write_pvd(tmp_path / "b", [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)]), name="b")
     result = compare([a, b], tmp_path / "out")
     with xarray.open_dataset(result.files[0]) as dataset:
         assert "volume_ratio" not in dataset and "cell" not in dataset.dims
@@ -198,7 +198,7 @@ def test_movies(tmp_path, monkeypatch):
     without_figures(monkeypatch)
     monkeypatch.setattr("pipeline.results.analysis_folder._FILM_SECONDS", 2.0)
     monkeypatch.setattr("pipeline.results.analysis_folder._DRAWN_FRAMES", 3)
-    a, b = (series_at(tmp_path / name, [0.0, 100.0, 200.0, 300.0], name, lambda t: t / 500) for name in "ab")
+    a, b = (make_series(tmp_path / name, [0.0, 100.0, 200.0, 300.0], name, lambda t: t / 500) for name in "ab")
     result = compare([a, b], tmp_path / "out", movie=True)
     assert [path.name for path in result.files[-2:]] == ["movie.mp4", "movie.png"]
     assert "movie.mp4 shows 3 of the 4 frames of a" in result.notes

@@ -18,10 +18,10 @@ from pipeline.series import read_series
 from pipeline.series import xarray_plugin as engine
 from pipeline.series.frame_files import read_grid
 from tests.bodies import without_figures
-from tests.series.test_series import CELLS, POINTS, TIMES, grid_at, moved, pvd, written
+from tests.series.test_series import CELLS, POINTS, TIMES, make_grid, move_points, write_pvd, write_series
 
 
-def felupe_result(folder: Path) -> Path:
+def write_felupe_result(folder: Path) -> Path:
     """A cube of neo-Hookean tetrahedra pulled by 30 % in five steps, as felupe writes it."""
     import felupe
 
@@ -38,7 +38,7 @@ def felupe_result(folder: Path) -> Path:
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_felupe_s_own_deformation_gradients_say_what_we_measure(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # meshio writes the .h5 here
-    series = read_series(felupe_result(tmp_path))
+    series = read_series(write_felupe_result(tmp_path))
     assert len(series) == 5 and any("Displacement is taken" in note for note in series.notes)
     for i, frame in enumerate(series):
         F = read_grid(series.files[i], i).cell_data["Deformation Gradient"].reshape(-1, 3, 3)
@@ -50,11 +50,11 @@ def test_felupe_s_own_deformation_gradients_say_what_we_measure(tmp_path, monkey
 
 def test_fields_of_cells_that_are_no_numbers_pass_through_and_disturb_nothing(tmp_path):
     for i, t in enumerate(TIMES):
-        grid = grid_at(t)
+        grid = make_grid(t)
         grid.cell_data["stress"] = np.where(np.arange(len(CELLS)) == 7, np.nan, t)
         grid.cell_data["damage"] = np.full(len(CELLS), np.inf)
         grid.save(tmp_path / f"f{i}.vtu")
-    path = pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
+    path = write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
     assert np.isfinite(measure(read_series(path).read_frame(2))["volume_ratio"]).all()
     dataset = xarray.open_dataset(path, engine=engine.SeriesBackend)
     assert np.flatnonzero(np.isnan(dataset["stress"].values[1])).tolist() == [7]
@@ -66,8 +66,8 @@ def test_one_flat_cell_at_rest_is_named(tmp_path, capfd):
     corners = CELLS[5]
     flat[corners[3]] = flat[corners[:3]].mean(axis=0)
     for i, t in enumerate(TIMES):
-        grid_at(0, points=flat * (1 + t)).save(tmp_path / f"f{i}.vtu")
-    path = pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
+        make_grid(0, points=flat * (1 + t)).save(tmp_path / f"f{i}.vtu")
+    path = write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
     with pytest.raises(SeriesError, match=r"rest state: .*inverted or flat tetrahedron cells, first \d+ with volume"):
         read_series(path)
     assert main(["analyze", str(path), "--out", str(tmp_path / "out")]) == 2
@@ -75,7 +75,7 @@ def test_one_flat_cell_at_rest_is_named(tmp_path, capfd):
 
 
 def test_a_frame_that_cannot_be_read_on_the_way_leaves_nothing(tmp_path, capfd):
-    path = written(tmp_path)
+    path = write_series(tmp_path)
     text = (tmp_path / "f1.vtu").read_text()
     (tmp_path / "f1.vtu").write_text(text.replace('Name="connectivity"', 'Name="nothing"'))
     assert main(["analyze", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 2
@@ -101,7 +101,7 @@ def test_an_index_of_many_large_frames_takes_the_memory_of_a_few(tmp_path, monke
     for i in range(3):
         points = mesh.points * (1 + 0.01 * i)
         meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(points, [("tetra", mesh.cells)]), compression=None)
-    path = pvd(tmp_path, [(float(k), f"f{k % 3}.vtu") for k in range(FRAMES)])
+    path = write_pvd(tmp_path, [(float(k), f"f{k % 3}.vtu") for k in range(FRAMES)])
     series = read_series(path)
     taken = []
 
@@ -116,8 +116,8 @@ def test_an_index_of_many_large_frames_takes_the_memory_of_a_few(tmp_path, monke
 
 
 def test_the_index_itself_is_small(tmp_path):
-    written(tmp_path)
-    path = pvd(tmp_path, [(float(k), f"f{k % 3}.vtu") for k in range(20_000)])
+    write_series(tmp_path)
+    path = write_pvd(tmp_path, [(float(k), f"f{k % 3}.vtu") for k in range(20_000)])
     tracemalloc.start()
     try:
         series = read_series(path)
@@ -125,5 +125,5 @@ def test_the_index_itself_is_small(tmp_path):
     finally:
         tracemalloc.stop()
     assert len(series) == 20_000 and series.times[-1] == 19_999.0
-    assert np.array_equal(series.read_frame(4).x, moved(TIMES[1]))
+    assert np.array_equal(series.read_frame(4).x, move_points(TIMES[1]))
     assert size < 20_000 * 1000  # bytes an entry: a time, and a path

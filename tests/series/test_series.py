@@ -37,30 +37,30 @@ def unit_mesh() -> tuple[np.ndarray, np.ndarray]:
 POINTS, CELLS = unit_mesh()
 
 
-def moved(t: float) -> np.ndarray:
+def move_points(t: float) -> np.ndarray:
     return POINTS * (1 + GROWTH * t)
 
 
-def grid_at(t: float, *, field: str | None = None, points=None, numbers=False) -> pyvista.UnstructuredGrid:
-    grid = pyvista.UnstructuredGrid({10: CELLS}, POINTS if field else moved(t) if points is None else points)
+def make_grid(t: float, *, field: str | None = None, points=None, numbers=False) -> pyvista.UnstructuredGrid:
+    grid = pyvista.UnstructuredGrid({10: CELLS}, POINTS if field else move_points(t) if points is None else points)
     if numbers:
         grid.point_data["speed"] = np.linspace(0, 1, len(POINTS))
     if field:
-        grid.point_data[field] = moved(t) - POINTS
+        grid.point_data[field] = move_points(t) - POINTS
     return grid
 
 
-def pvd(folder, rows):
+def write_pvd(folder, rows):
     lines = "".join(f'<DataSet timestep="{t!r}" file="{name}"/>' for t, name in rows)
     path = folder / "their.pvd"
     path.write_text(f'<VTKFile type="Collection"><Collection>{lines}</Collection></VTKFile>')
     return path
 
 
-def written(folder, **options):
+def write_series(folder, **options):
     for i, t in enumerate(TIMES):
-        grid_at(t, **options).save(folder / f"f{i}.vtu")
-    return pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
+        make_grid(t, **options).save(folder / f"f{i}.vtu")
+    return write_pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
 
 
 def assert_grows(series, *, rtol=1e-12, times=TIMES):
@@ -76,7 +76,7 @@ def assert_grows(series, *, rtol=1e-12, times=TIMES):
 @pytest.mark.parametrize("style", ["ascii", "zlib", "lz4", "big-endian", "raw appended", "float32", "int32 ids"])
 def test_vtk_writes_vtu_in_many_ways(tmp_path, style):
     for i, t in enumerate(TIMES):
-        grid = grid_at(t, points=moved(t).astype(np.float32) if style == "float32" else None)
+        grid = make_grid(t, points=move_points(t).astype(np.float32) if style == "float32" else None)
         writer = vtk.vtkXMLUnstructuredGridWriter()
         writer.SetFileName(str(tmp_path / f"f{i}.vtu"))
         writer.SetInputData(grid)
@@ -93,7 +93,7 @@ def test_vtk_writes_vtu_in_many_ways(tmp_path, style):
         if style == "int32 ids":
             writer.SetIdTypeToInt32()
         assert writer.Write()
-    assert_grows(read_series(pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])),
+    assert_grows(read_series(write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])),
                  rtol=1e-5 if style == "float32" else 1e-9)  # fmt: skip
 
 
@@ -101,7 +101,7 @@ def test_vtk_writes_vtu_in_many_ways(tmp_path, style):
 @pytest.mark.parametrize("binary", [True, False])
 def test_meshio_writes_numbered_files(tmp_path, suffix, binary):
     for i, t in enumerate(TIMES):
-        mesh = meshio.Mesh(moved(t), [("tetra", CELLS)])
+        mesh = meshio.Mesh(move_points(t), [("tetra", CELLS)])
         meshio.write(tmp_path / f"beam_{i}.{suffix}", mesh, binary=binary)
     series = read_series(str(tmp_path / "beam_*"))
     assert series.times == (0.0, 1.0, 2.0) and "counted from 0" in series.notes[0]
@@ -110,7 +110,7 @@ def test_meshio_writes_numbered_files(tmp_path, suffix, binary):
 
 def test_numbers_are_in_natural_order_and_times_come_from_the_files(tmp_path):
     for i in range(12):
-        grid = grid_at(i / 4)
+        grid = make_grid(i / 4)
         grid.field_data["TimeValue"] = [i / 4]
         grid.save(tmp_path / f"f{i}.vtu")
     assert_grows(read_series(tmp_path), times=[i / 4 for i in range(12)])
@@ -118,14 +118,14 @@ def test_numbers_are_in_natural_order_and_times_come_from_the_files(tmp_path):
 
 def test_legacy_files_with_time_values(tmp_path):
     for i, t in enumerate(TIMES):
-        grid = grid_at(t)
+        grid = make_grid(t)
         grid.field_data["TimeValue"] = [t]
         grid.save(tmp_path / f"f{i}.vtk", binary=bool(i % 2))
     assert_grows(read_series(tmp_path))
 
 
 def test_the_json_index(tmp_path):
-    written(tmp_path)
+    write_series(tmp_path)
     index = tmp_path / "their.vtu.series"
     files = [{"name": f"f{i}.vtu", "time": t} for i, t in enumerate(TIMES)]
     index.write_text(json.dumps({"file-series-version": "1.0", "files": files}))
@@ -136,7 +136,7 @@ def test_pieces_of_a_pvtu_are_one_frame(tmp_path):
     for i, t in enumerate(TIMES):
         writer = vtk.vtkXMLPUnstructuredGridWriter()
         writer.SetFileName(str(tmp_path / f"p{i}.pvtu"))
-        pieces = [grid_at(t).extract_cells(part) for part in np.array_split(np.arange(len(CELLS)), 2)]
+        pieces = [make_grid(t).extract_cells(part) for part in np.array_split(np.arange(len(CELLS)), 2)]
         for k, piece in enumerate(pieces):
             piece.save(tmp_path / f"p{i}_{k}.vtu")
         sources = "".join(f'<Piece Source="p{i}_{k}.vtu"/>' for k in range(2))
@@ -145,7 +145,7 @@ def test_pieces_of_a_pvtu_are_one_frame(tmp_path):
             f'<PDataArray type="Float64" Name="Points" NumberOfComponents="3"/></PPoints>{sources}'
             "</PUnstructuredGrid></VTKFile>"
         )
-    series = read_series(pvd(tmp_path, [(t, f"p{i}.pvtu") for i, t in enumerate(TIMES)]))
+    series = read_series(write_pvd(tmp_path, [(t, f"p{i}.pvtu") for i, t in enumerate(TIMES)]))
     assert_grows(series)
     assert len(series.mesh.cells) == len(CELLS)
     assert len(read_series(tmp_path / "p*.pvtu")) == 3
@@ -176,7 +176,7 @@ def write_vtkhdf(path):
             key = vtk.vtkStreamingDemandDrivenPipeline.UPDATE_TIME_STEP()
             t = information.Get(key) if information.Has(key) else TIMES[0]
             output = information.Get(vtk.vtkDataObject.DATA_OBJECT())
-            output.ShallowCopy(grid_at(t))
+            output.ShallowCopy(make_grid(t))
             output.GetInformation().Set(vtk.vtkDataObject.DATA_TIME_STEP(), t)
             return 1
 
@@ -188,23 +188,23 @@ def write_vtkhdf(path):
     writer.Write()
 
 
-def xdmf(path, data_format="XML"):
+def write_xdmf(path, data_format="XML"):
     with meshio.xdmf.TimeSeriesWriter(path, data_format=data_format) as writer:
         writer.write_points_cells(POINTS, [("tetra", CELLS)])
         for t in TIMES:
-            writer.write_data(t, point_data={"u": moved(t) - POINTS})
+            writer.write_data(t, point_data={"u": move_points(t) - POINTS})
     return path
 
 
 def test_xdmf_time_series(tmp_path):
-    series = read_series(xdmf(tmp_path / "a.xdmf"))
+    series = read_series(write_xdmf(tmp_path / "a.xdmf"))
     assert_grows(series)
     assert any("field u is taken" in note for note in series.notes)
 
 
 def test_xdmf_with_hdf5_says_what_to_install(tmp_path, in_process, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)  # as if it were not installed
-    path = xdmf(tmp_path / "a.xdmf")
+    path = write_xdmf(tmp_path / "a.xdmf")
     text = path.read_text().replace('Format="XML"', 'Format="HDF"')
     path.write_text(re.sub(r"(<DataItem[^>]*>)[^<]*<", r"\1a.h5:/data0<", text))
     with pytest.raises(SeriesError, match="pip install h5py"):
@@ -224,7 +224,7 @@ def test_triangles_in_the_plane(tmp_path):
 
 
 def test_rest_points_and_a_displacement_field(tmp_path):
-    path = written(tmp_path, field="Displacement")
+    path = write_series(tmp_path, field="Displacement")
     series = read_series(path)
     assert_grows(series)
     assert any("Displacement is taken for the displacement" in note for note in series.notes)
@@ -236,10 +236,10 @@ def test_rest_points_and_a_displacement_field(tmp_path):
 def test_points_that_move_between_the_frames_looked_at_are_not_moved_twice(tmp_path):
     times = [0.0, 1.0, 2.0, 3.0, 4.0]
     for i in range(5):
-        grid = grid_at(i % 2)
-        grid.point_data["displacement"] = moved(i % 2) - POINTS
+        grid = make_grid(i % 2)
+        grid.point_data["displacement"] = move_points(i % 2) - POINTS
         grid.save(tmp_path / f"f{i}.vtu")
-    path = pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(times)])
+    path = write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(times)])
     with pytest.raises(SeriesError, match="t = 1 s: the points move"):
         list(read_series(path))
     ratios = [measure(frame)["volume_ratio_mean"] for frame in read_series(path, displacement="none")]
@@ -248,11 +248,11 @@ def test_points_that_move_between_the_frames_looked_at_are_not_moved_twice(tmp_p
 
 def test_an_ambiguous_displacement_is_asked_for(tmp_path):
     for i, t in enumerate(TIMES):
-        grid = grid_at(t, field="u_h")
-        grid.point_data["strange"] = moved(t)
-        grid.point_data["velocity"] = moved(t)
+        grid = make_grid(t, field="u_h")
+        grid.point_data["strange"] = move_points(t)
+        grid.point_data["velocity"] = move_points(t)
         grid.save(tmp_path / f"f{i}.vtu")
-    path = pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
+    path = write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
     with pytest.raises(SeriesError, match=r"strange, u_h: say which"):
         read_series(path)
     assert_grows(read_series(path, displacement="u_h"))
@@ -262,12 +262,12 @@ def test_an_ambiguous_displacement_is_asked_for(tmp_path):
 
 def test_where_the_rest_state_comes_from(tmp_path):
     rest = tmp_path / "rest.vtu"
-    grid_at(0).save(rest)
+    make_grid(0).save(rest)
     for i, t in enumerate(TIMES[1:]):
-        grid = grid_at(t)
+        grid = make_grid(t)
         grid.point_data["rest_position"] = POINTS * 2
         grid.save(tmp_path / f"f{i}.vtu")
-    path = pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES[1:])])
+    path = write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES[1:])])
 
     def first_ratio(**options):
         return measure(read_series(path, **options).read_frame(0))["volume_ratio_mean"]
@@ -284,8 +284,8 @@ def test_mixed_cells_simplices_are_measured_and_the_rest_counted(tmp_path):
     hexahedron = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1.0]])
     cells = [("hexahedron", [range(len(POINTS), len(POINTS) + 8)]), ("tetra", CELLS), ("triangle", [[0, 1, 2]])]
     for i, t in enumerate(TIMES):
-        meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(np.vstack([moved(t), hexahedron + 9]), cells))
-    series = read_series(pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)]))
+        meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(np.vstack([move_points(t), hexahedron + 9]), cells))
+    series = read_series(write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)]))
     assert_grows(series)
     assert any("1 triangle, 1 hexahedron" in note for note in series.notes)
     assert any("8 points that belong to no measured cell" in note for note in series.notes)
@@ -297,10 +297,10 @@ def test_mixed_cells_simplices_are_measured_and_the_rest_counted(tmp_path):
 
 def test_our_own_files_need_one_look(tmp_path, monkeypatch):
     for i, t in enumerate(TIMES):
-        grid = grid_at(t)
+        grid = make_grid(t)
         grid.point_data["rest_position"] = POINTS
         grid.save(tmp_path / f"f{i}.vtu")
-    path = pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
+    path = write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
     shutil.copy(path, tmp_path / "series.pvd")
     series = read_series(tmp_path)
     assert series.notes == () and series.name == tmp_path.name
@@ -314,8 +314,8 @@ def test_our_own_files_need_one_look(tmp_path, monkeypatch):
 @pytest.mark.parametrize("damage", ["missing", "empty", 0.2, 0.5, 0.97])
 def test_a_frame_that_is_not_there_is_left_out_and_told(tmp_path, suffix, damage, vtk_errors):
     for i, t in enumerate(TIMES):
-        grid_at(t, numbers=True).save(tmp_path / f"f{i}.{suffix}")
-    path = pvd(tmp_path, [(t, f"f{i}.{suffix}") for i, t in enumerate(TIMES)])
+        make_grid(t, numbers=True).save(tmp_path / f"f{i}.{suffix}")
+    path = write_pvd(tmp_path, [(t, f"f{i}.{suffix}") for i, t in enumerate(TIMES)])
     broken = tmp_path / f"f1.{suffix}"
     content = broken.read_bytes()
     if damage == "missing":
@@ -331,29 +331,29 @@ def test_a_frame_that_is_not_there_is_left_out_and_told(tmp_path, suffix, damage
 
 
 def test_times_out_of_order_and_twice(tmp_path):
-    written(tmp_path)
+    write_series(tmp_path)
     order = [2, 0, 1]
-    series = read_series(pvd(tmp_path, [(TIMES[i], f"f{i}.vtu") for i in order]))
+    series = read_series(write_pvd(tmp_path, [(TIMES[i], f"f{i}.vtu") for i in order]))
     assert_grows(series)
     assert "sorted by time" in series.notes[0]
-    series = read_series(pvd(tmp_path, [(0.0, "f0.vtu"), (0.1, "f2.vtu"), (0.1, "f1.vtu"), (0.25, "f2.vtu")]))
+    series = read_series(write_pvd(tmp_path, [(0.0, "f0.vtu"), (0.1, "f2.vtu"), (0.1, "f1.vtu"), (0.25, "f2.vtu")]))
     assert_grows(series)
     assert "1 frames have the time of a later one" in series.notes[0]
 
 
 def test_topology_that_changes_points_that_are_no_numbers_and_flat_cells(tmp_path):
-    path = written(tmp_path)
-    pyvista.UnstructuredGrid({10: CELLS[:-1]}, moved(0.1)).save(tmp_path / "f1.vtu")
+    path = write_series(tmp_path)
+    pyvista.UnstructuredGrid({10: CELLS[:-1]}, move_points(0.1)).save(tmp_path / "f1.vtu")
     with pytest.raises(SeriesError, match="topology changes"):
         list(read_series(path))
-    points = moved(0.1)
+    points = move_points(0.1)
     points[3] = np.nan
-    grid_at(0, points=points).save(tmp_path / "f1.vtu")
+    make_grid(0, points=points).save(tmp_path / "f1.vtu")
     with pytest.raises(SeriesError, match=r"t = 0.1 s: 1 points are not finite, first 3"):
         list(read_series(path))
     flat = POINTS.copy()
     flat[:, 2] = 0
-    grid_at(0, points=flat).save(tmp_path / "f0.vtu")
+    make_grid(0, points=flat).save(tmp_path / "f0.vtu")
     with pytest.raises(SeriesError, match=r"rest state: .* flat"):
         read_series(path)
 
@@ -373,7 +373,7 @@ def test_an_index_that_is_none(tmp_path, text):
 
 def test_several_series_in_one_folder_have_to_be_named(tmp_path):
     for name in ("a_0", "a_1", "b_0"):
-        grid_at(0).save(tmp_path / f"{name}.vtu")
+        make_grid(0).save(tmp_path / f"{name}.vtu")
     with pytest.raises(SeriesError, match=r"a_\*.vtu \(2\), b_\*.vtu \(1\)"):
         read_series(tmp_path)
     assert len(read_series(tmp_path / "a_*.vtu")) == 2
@@ -383,35 +383,35 @@ def test_several_series_in_one_folder_have_to_be_named(tmp_path):
 
 
 def test_the_mesh_is_an_ordinary_one(tmp_path):
-    assert isinstance(read_series(written(tmp_path)).mesh, Mesh)
+    assert isinstance(read_series(write_series(tmp_path)).mesh, Mesh)
 
 
 # xarray
 
 
-def opened(path, **options):
+def open_lazily(path, **options):
     return xarray.open_dataset(path, engine=engine.SeriesBackend, **options)
 
 
-def fields(folder):
+def write_fields(folder):
     """Frames with fields of many kinds."""
     for i, t in enumerate(TIMES):
-        grid = grid_at(t)
+        grid = make_grid(t)
         grid.point_data["velocity"] = GROWTH * POINTS
         grid.point_data["temperature"] = np.float32(t) + np.arange(len(POINTS), dtype=np.float32)
         grid.cell_data["part"] = np.arange(len(CELLS), dtype=np.int32)
         grid.cell_data["stress"] = np.full((len(CELLS), 6), t)
         grid.field_data["kinetic_energy"] = [t]
         grid.save(folder / f"f{i}.vtu")
-    return pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
+    return write_pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
 
 
 def test_a_series_is_a_lazy_dataset(tmp_path, monkeypatch):
-    path = fields(tmp_path)
+    path = write_fields(tmp_path)
     read = []
     original = Series.read_grid
     monkeypatch.setattr(Series, "read_grid", lambda self, i: read.append(i) or original(self, i))
-    dataset = opened(path)
+    dataset = open_lazily(path)
     read.clear()
     assert dict(dataset.sizes) == {
         "time": 3, "node": len(POINTS), "cell": len(CELLS), "axis": 3, "corner": 4, "stress_component": 6
@@ -421,7 +421,7 @@ def test_a_series_is_a_lazy_dataset(tmp_path, monkeypatch):
     assert dataset["part"].dtype == np.int32 and dataset["temperature"].dtype == np.float32
     assert read == []
     one = dataset.isel(time=1)
-    assert one["displacement"].values == pytest.approx(moved(0.1) - POINTS)
+    assert one["displacement"].values == pytest.approx(move_points(0.1) - POINTS)
     assert one["velocity"].values == pytest.approx(GROWTH * POINTS)
     assert read == [1]
     assert dataset["temperature"][:, 3].values == pytest.approx([3, 3.1, 3.25])
@@ -435,25 +435,27 @@ def test_a_series_is_a_lazy_dataset(tmp_path, monkeypatch):
 
 
 def test_a_dataset_travels_to_another_process(tmp_path):
-    dataset = opened(fields(tmp_path))
+    dataset = open_lazily(write_fields(tmp_path))
     xarray.testing.assert_identical(pickle.loads(pickle.dumps(dataset)), dataset)
 
 
 def test_dask_gets_a_chunk_a_frame(tmp_path):
     pytest.importorskip("dask")
-    dataset = opened(fields(tmp_path), chunks={})
+    dataset = open_lazily(write_fields(tmp_path), chunks={})
     assert dataset["displacement"].chunks == ((1, 1, 1), (len(POINTS),), (3,))
-    assert dataset["displacement"].mean("time").values == pytest.approx(np.mean([moved(t) for t in TIMES], 0) - POINTS)
+    assert dataset["displacement"].mean("time").values == pytest.approx(
+        np.mean([move_points(t) for t in TIMES], 0) - POINTS
+    )
 
 
 def test_xdmf_with_hdf5(tmp_path, monkeypatch):
     pytest.importorskip("h5py")
     monkeypatch.chdir(tmp_path)  # meshio writes the other file here
-    assert_grows(read_series(xdmf(tmp_path / "a.xdmf", "HDF")))
+    assert_grows(read_series(write_xdmf(tmp_path / "a.xdmf", "HDF")))
 
 
 def test_the_accessor_measures(tmp_path):
-    dataset = opened(fields(tmp_path))
+    dataset = open_lazily(write_fields(tmp_path))
     ratio = dataset.deformation.volume_ratio()
     assert ratio.dims == ("time", "cell") and ratio.attrs["units"] == "1"
     for i, frame in enumerate(read_series(tmp_path / "their.pvd")):
@@ -463,22 +465,22 @@ def test_the_accessor_measures(tmp_path):
     worst = dataset.deformation.worst()
     assert worst.volume_ratio == pytest.approx((1 + GROWTH * TIMES[-1]) ** 3) and worst.time == TIMES[-1]
     grid = dataset.deformation.to_pyvista(0.11)
-    assert np.asarray(grid.points) == pytest.approx(moved(0.1))
+    assert np.asarray(grid.points) == pytest.approx(move_points(0.1))
     assert grid.cell_data["part"].dtype == np.int32
     with pytest.raises(SeriesError, match="no connectivity"):
         dataset.drop_vars("connectivity").deformation.worst()
 
 
 def test_a_dataset_written_and_read_is_the_same(tmp_path):
-    dataset = opened(fields(tmp_path))
+    dataset = open_lazily(write_fields(tmp_path))
     dataset["temperature"].attrs["units"] = "K"
     dataset["volume_ratio"] = dataset.deformation.volume_ratio()
     dataset.attrs["history"] = "told"
     path = write_pvd_series(dataset, tmp_path / "again.pvd")
-    again = opened(path)
+    again = open_lazily(path)
     xarray.testing.assert_identical(again, dataset)
     assert {name: one.dtype for name, one in again.items()} == {name: one.dtype for name, one in dataset.items()}
-    twice = opened(write_pvd_series(again, tmp_path / "twice.pvd"))
+    twice = open_lazily(write_pvd_series(again, tmp_path / "twice.pvd"))
     xarray.testing.assert_identical(twice, dataset)
     assert b"<AppendedData" not in (tmp_path / "again" / "frame_000000.vtu").read_bytes()
     with pytest.raises(SeriesError, match="frames cannot hold mean"):
@@ -489,13 +491,13 @@ def test_a_planar_dataset_too(tmp_path):
     points, cells = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]])
     for i, t in enumerate(TIMES):
         meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(points * [1 + t, 1, 1], [("triangle", cells)]))
-    dataset = opened(str(tmp_path / "f0.vtu").replace("f0", "f*"))
+    dataset = open_lazily(str(tmp_path / "f0.vtu").replace("f0", "f*"))
     assert dataset.deformation.volume_ratio().values[1] == pytest.approx([1.1, 1.1])
-    xarray.testing.assert_identical(opened(write_pvd_series(dataset, tmp_path / "a" / "p.pvd")), dataset)
+    xarray.testing.assert_identical(open_lazily(write_pvd_series(dataset, tmp_path / "a" / "p.pvd")), dataset)
 
 
 def test_xarray_finds_the_engine_by_itself(tmp_path, installed):
-    path = fields(tmp_path)
+    path = write_fields(tmp_path)
     code = f"import xarray; ds = xarray.open_dataset({str(path)!r}); print(ds.deformation.worst().time)"
     run = subprocess.run([sys.executable, "-c", code], env=installed, capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["0.25"]
@@ -504,7 +506,7 @@ def test_xarray_finds_the_engine_by_itself(tmp_path, installed):
 def test_the_lines_of_the_docs_run(tmp_path, installed, project_root):
     """Every python block of docs/analysis.md, one after the other, on a series of three frames."""
     page = project_root / "docs" / "analysis.md"
-    shutil.copy(fields(tmp_path), tmp_path / "series.pvd")
+    shutil.copy(write_fields(tmp_path), tmp_path / "series.pvd")
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.S)
     assert len(blocks) >= 4
     run = subprocess.run(
