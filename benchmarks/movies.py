@@ -14,7 +14,7 @@ from pathlib import Path
 from statistics import median
 
 from pipeline import load_case
-from pipeline.results.run_case import run_campaign
+from pipeline.results.case_run import run_case
 from pipeline.series import read_series
 from pipeline.views.movie.movie import write_movie
 
@@ -33,7 +33,7 @@ def main() -> None:
     keys = {"mesh.cells": [int(n) for n in options.boxes.split("x")], "schedule.frames": options.frames - 1}
     case = load_case(CASE, overrides=keys)
     with tempfile.TemporaryDirectory(prefix="movies_") as name:
-        solved = run_campaign(case, Path(name), variants=VARIANTS, movie=False).variants
+        solved = run_case(case, Path(name), variants=VARIANTS, movie=False).variants
         rows = [
             _rates([variant.folder for variant in solved], Path(name) / "movie.mp4") for _ in range(options.repeats)
         ]

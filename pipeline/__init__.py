@@ -17,8 +17,8 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.problem.problem import Problem, build
 from pipeline.problem.python_case import make_case
 from pipeline.results.analysis_folder import analyze, compare
-from pipeline.results.report import report_of_folder as write_report
-from pipeline.results.run_case import run_campaign as run_case
+from pipeline.results.case_run import run_case
+from pipeline.results.report import write_report
 from pipeline.run.frame import Frame, Sink
 from pipeline.run.frames import frames
 from pipeline.run.recording import record

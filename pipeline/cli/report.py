@@ -21,10 +21,10 @@ def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from pipeline.results.report import report_of_folder
+    from pipeline.results.report import write_report
 
     with progress(options.quiet) as bar:
-        path = report_of_folder(options.folder, bar.read)
+        path = write_report(options.folder, bar.read)
     if not options.quiet:
         print(path)
     return 0
@@ -33,12 +33,12 @@ def _report(options: argparse.Namespace) -> int:
 def _view(options: argparse.Namespace) -> int:
     import webbrowser
 
-    from pipeline.results.report import REPORT, is_current, report_of_folder
+    from pipeline.results.report import REPORT, is_report_current, write_report
 
     path = options.folder / REPORT
-    if not is_current(options.folder):
+    if not is_report_current(options.folder):
         with progress(options.quiet) as bar:
-            report_of_folder(options.folder, bar.read)
+            write_report(options.folder, bar.read)
     if not options.quiet:
         print(path)
     if not options.no_open and not webbrowser.open(path.absolute().as_uri()):

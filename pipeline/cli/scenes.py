@@ -56,12 +56,12 @@ def loaded_case(options: argparse.Namespace) -> Case:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from pipeline.results.run_case import run_campaign
+    from pipeline.results.case_run import run_case
 
     case = loaded_case(options)
     quiet = options.quiet or options.json
     with progress(quiet) as bar:
-        result = run_campaign(
+        result = run_case(
             case,
             options.out,
             variants=options.variants,
@@ -137,10 +137,10 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _movie(options: argparse.Namespace) -> int:
-    from pipeline.results.comparison import movie_of_folder
+    from pipeline.results.comparison import redraw_movie
 
     with progress(options.quiet) as bar:
-        path = movie_of_folder(options.folder, on_drawing=bar.drawn)
+        path = redraw_movie(options.folder, on_drawing=bar.drawn)
     if not options.quiet:
         print(path)
     return 0

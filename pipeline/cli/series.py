@@ -84,11 +84,11 @@ def _report(
     """Write report.html where it is asked for, with the command that led to it."""
     if not options.report:
         return
-    from pipeline.results.report import report_of_analysis
+    from pipeline.results.report import write_analysis_report
 
     given = [("--displacement", options.displacement), ("--rest", options.rest), ("--out", options.out.as_posix())]
     words = [*words, *(word for name, value in given if value for word in (name, value))]
     words += [f"--{name}" for name in ("strict", "movie", "difference", "report") if getattr(options, name, False)]
-    path = report_of_analysis(found, series, shlex.join(["pipeline", *words]))
+    path = write_analysis_report(found, series, shlex.join(["pipeline", *words]))
     if not options.quiet:
         print(f"  {path}" if isinstance(found, Analysis) else path)

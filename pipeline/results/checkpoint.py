@@ -45,7 +45,7 @@ class CheckpointFolder:
         self.seconds = seconds
         self._since: float | None = None  # from the first step on: a set-up that compiles does not count
 
-    def due(self, solved: float) -> bool:
+    def is_due(self, solved: float) -> bool:
         """Return whether the last one, or the first step's begin, is long enough ago; steps have taken `solved` [s]."""
         now = time.monotonic()
         if self._since is None:
@@ -54,16 +54,16 @@ class CheckpointFolder:
 
     def write(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint and remove all but the last two; raises OutputError."""
-        write_whole(self.folder / f"step_{checkpoint.state.step:09d}.checkpoint", encoded(checkpoint))
+        write_whole(self.folder / f"step_{checkpoint.state.step:09d}.checkpoint", encode_checkpoint(checkpoint))
         for old in self._paths()[_KEPT:]:
             old.unlink(missing_ok=True)
         self._since = time.monotonic()
 
-    def readable(self) -> Iterator[Checkpoint | str]:
+    def iterate_readable(self) -> Iterator[Checkpoint | str]:
         """Yield the checkpoints, the last one first; in place of one that is damaged, a note that says so."""
         for path in self._paths():
             try:
-                yield decoded(path.read_bytes())
+                yield decode_checkpoint(path.read_bytes())
             except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
                 yield f"{path}: damaged ({error}); the checkpoint before it is used instead"
 
@@ -79,7 +79,7 @@ class CheckpointFolder:
         return sorted(self.folder.glob("step_*.checkpoint"), reverse=True)
 
 
-def encoded(checkpoint: Checkpoint) -> bytes:
+def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
     """Return the bytes of a checkpoint file."""
     state = checkpoint.state
     arrays = {"x": state.x, "v": state.v} | {_MEMORY + name: value for name, value in state.memory.items()}
@@ -91,7 +91,7 @@ def encoded(checkpoint: Checkpoint) -> bytes:
     return sha256(body).hexdigest().encode() + b"\n" + body
 
 
-def decoded(data: bytes) -> Checkpoint:
+def decode_checkpoint(data: bytes) -> Checkpoint:
     """Return the checkpoint of a file's bytes; raises ValueError where they are not those that were written."""
     checksum, _, body = data.partition(b"\n")
     if sha256(body).hexdigest().encode() != checksum:

@@ -9,7 +9,7 @@ from pipeline.case import Case, load_case
 from pipeline.errors import OutputError, join_names
 from pipeline.formats.netcdf import open_dataset
 from pipeline.problem.problem import resolve_mass
-from pipeline.results.variant import UNFINISHED, determining, read_run
+from pipeline.results.variant_run import UNFINISHED, read_run, result_settings
 from pipeline.series import read_series
 from pipeline.sinks.frame_formats import FORMATS
 from pipeline.views.paraview import SCRIPT_NAME as SCRIPT
@@ -18,11 +18,11 @@ from pipeline.views.paraview import write_script
 if TYPE_CHECKING:
     import xarray
 
-DRAWN = ("comparison.mp4", "comparison.png")
+MOVIE_FILES = ("comparison.mp4", "comparison.png")
 _EFFORT = "effort.png"  # where a variant has model = "auto"
 
 
-def compare(
+def compare_variants(
     case: Case,
     folder: Path,
     *,
@@ -31,16 +31,16 @@ def compare(
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> tuple[list[Path], list[str]]:
     """Join and draw every variant in the folder that is a result of this case; return the files made and notes."""
-    runs = {name: run for name, run in recorded(case, folder).items() if run["status"] not in UNFINISHED}
+    runs = {name: run for name, run in find_runs(case, folder).items() if run["status"] not in UNFINISHED}
     usable = list(runs)
     if not usable:
         return [], ["no variant left a frame: nothing to compare"]
     paths = {
         n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png", SCRIPT)
     }
-    if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in DRAWN):
+    if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in MOVIE_FILES):
         return [], []
-    for stale in (*DRAWN, _EFFORT):
+    for stale in (*MOVIE_FILES, _EFFORT):
         (folder / stale).unlink(missing_ok=True)
     title = case.movie.title or case.name.replace("_", " ")
     statistics = {name: folder / name / "statistics.nc" for name in usable}
@@ -54,7 +54,11 @@ def compare(
     with open_dataset(paths["comparison.nc"]) as dataset:
         write_volume_figure(dataset, paths["volume.png"], title=title)
         write_energy_figure(dataset, paths["energy.png"], title=title)
-        made.append(_paraview(folder, dataset, {n: str(run["case"]["output"]["format"]) for n, run in runs.items()}))
+        made.append(
+            _write_paraview_script(
+                folder, dataset, {n: str(run["case"]["output"]["format"]) for n, run in runs.items()}
+            )
+        )
     shown = [name for name in case.movie.variants if name in usable]
     if movie and shown:
         try:
@@ -71,7 +75,7 @@ def _read_steps(path: Path) -> "xarray.Dataset":
         return dataset.drop_dims("time").load()
 
 
-def _paraview(folder: Path, dataset: "xarray.Dataset", formats: Mapping[str, str]) -> Path:
+def _write_paraview_script(folder: Path, dataset: "xarray.Dataset", formats: Mapping[str, str]) -> Path:
     """Write the script that shows the variants in ParaView, all in the colours of one range."""
     from pipeline.views.track import SAMPLED_CELLS, fit_color_radius
 
@@ -101,11 +105,13 @@ def draw_movie(
     return path
 
 
-def recorded(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
+def find_runs(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
     """Return run.json of every variant that has frames of this very case, by name."""
     runs = {name: read_run(folder / name) for name in case.variant_names}
     return {
-        name: run for name, run in runs.items() if _has_frames(run, folder / name) and _is_of(run, case, folder / name)
+        name: run
+        for name, run in runs.items()
+        if _has_frames(run, folder / name) and _belongs_to(run, case, folder / name)
     }
 
 
@@ -114,13 +120,13 @@ def _has_frames(run: dict[str, Any], folder: Path) -> bool:
     return bool(run) and (bool(run.get("frames")) or any((folder / one.index).is_file() for one in FORMATS.values()))
 
 
-def _is_of(run: dict[str, Any], case: Case, folder: Path) -> bool:
+def _belongs_to(run: dict[str, Any], case: Case, folder: Path) -> bool:
     """Return whether a variant's run is one of this case, which may be that in the result folder.
 
     A mesh file is named relative to its case file, so from elsewhere by another text: the variant's own case.toml
     tells which file it is.
     """
-    wanted = determining(resolve_mass(case.variant(folder.name)))
+    wanted = result_settings(resolve_mass(case.variant(folder.name)))
     if run["case"] == wanted:
         return True
     kept = folder / "case.toml"
@@ -134,10 +140,10 @@ def _is_of(run: dict[str, Any], case: Case, folder: Path) -> bool:
     )
 
 
-def movie_of_folder(folder: Path, *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
+def redraw_movie(folder: Path, *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
     """Draw the movie of a result folder again, from its frames alone; raises PipelineError where it is not one."""
     case = load_case(folder / "case.toml")
-    runs = recorded(case, folder)
+    runs = find_runs(case, folder)
     shown = [name for name in case.movie.variants if name in runs]
     if not shown:
         raise OutputError(f"{folder}: none of {join_names(case.movie.variants)} has a recorded frame of this case")

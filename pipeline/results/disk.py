@@ -20,7 +20,7 @@ _DATASET_HEAD = 20_000
 _MARGIN = 1.1
 
 
-def needed_bytes(problem: Problem, output: OutputSpec) -> float:
+def estimate_bytes(problem: Problem, output: OutputSpec) -> float:
     """Return about what the frames and statistics of a problem take, and its share of the comparison."""
     mesh = problem.body.mesh
     (n, d), e, count = mesh.points.shape, len(mesh.cells), problem.frame_count
@@ -32,28 +32,28 @@ def needed_bytes(problem: Problem, output: OutputSpec) -> float:
     return count * frame + 2 * dataset
 
 
-def check_room(folder: Path, problems: Mapping[str, tuple[Problem, OutputSpec]]) -> None:
+def check_disk_space(folder: Path, problems: Mapping[str, tuple[Problem, OutputSpec]]) -> None:
     """Raise OutputError where the variants of a case need more room than there is.
 
     What lies in their folders already counts as theirs: it is gone on with, or replaced.
     """
-    needed = sum(max(needed_bytes(*one) - _size(folder / name), 0.0) for name, one in problems.items())
+    needed = sum(max(estimate_bytes(*one) - _measure_folder(folder / name), 0.0) for name, one in problems.items())
     there = next(path for path in (folder, *folder.parents) if path.exists())
     free = shutil.disk_usage(there).free
     if needed * _MARGIN <= free:
         return
     frames = sum(problem.frame_count for problem, _ in problems.values())
     raise OutputError(
-        f"{folder}: {frames} frames of {', '.join(problems)} need about {_shown(needed)}, {_shown(free)} are free "
+        f"{folder}: {frames} frames of {', '.join(problems)} need about {_format_bytes(needed)}, {_format_bytes(free)} are free "
         "there; take fewer schedule.frames, fewer variants (--variant), or another disk (--out)"
     )
 
 
-def _size(folder: Path) -> float:
+def _measure_folder(folder: Path) -> float:
     return float(sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()))
 
 
-def _shown(size: float) -> str:
+def _format_bytes(size: float) -> str:
     """Return bytes as MB, GB or TB."""
     unit, name = next(((u, n) for u, n in ((1e12, "TB"), (1e9, "GB")) if size >= u), (1e6, "MB"))
     return f"{size / unit:.3g} {name}"

@@ -51,9 +51,9 @@ class Failure:
             f"the worst, cell {cell}, has volume ratio {self.volume_ratio[cell]:.3g} and quality "
             f"{self.quality[cell]:.2g} at rest; cells turn by up to {self.turn.max():.3g} degrees a step"
         )
-        return f"{error}; {where}; {'; or '.join(self.remedies())} ({FILE} shows where)"
+        return f"{error}; {where}; {'; or '.join(self.list_remedies())} ({FILE} shows where)"
 
-    def remedies(self) -> list[str]:
+    def list_remedies(self) -> list[str]:
         """Return what may help, the likeliest first."""
         method, dt = self.problem.method, self.problem.dt
         out = []
@@ -108,7 +108,7 @@ class Failure:
         write_whole(folder / FILE, encode_vtu(spatial(state.x), point_data, cell_data, field_data, static))
 
 
-def examined(problem: Problem, state: State) -> Failure:
+def examine_failure(problem: Problem, state: State) -> Failure:
     """Return what can be said of the last state before a step that failed."""
     body, mesh = problem.body, problem.body.mesh
     with np.errstate(all="ignore"):  # it may be about to blow up

@@ -9,8 +9,8 @@ from typing import Any
 from pipeline.case import Case, load_case
 from pipeline.errors import OutputError
 from pipeline.results.analysis_folder import Analysis, Comparison
-from pipeline.results.comparison import recorded
-from pipeline.results.variant import UNFINISHED, determining, difference, read_run
+from pipeline.results.comparison import find_runs
+from pipeline.results.variant_run import UNFINISHED, describe_difference, read_run, result_settings
 from pipeline.series import Series, read_series
 from pipeline.system.version import VERSION
 from pipeline.views.html.blocks import Block, CodeListing, Heading, Paragraph, TableBlock
@@ -22,7 +22,7 @@ REPORT = "report.html"
 _AGAIN = "How to make it again"
 
 
-def report_of_folder(folder: Path, on_frame: OnFrameRead | None = None) -> Path:
+def write_report(folder: Path, on_frame: OnFrameRead | None = None) -> Path:
     """Write report.html of a result folder from its frames and datasets, and return its path.
 
     `on_frame(variant, done, frames)` is called after each frame that is read.
@@ -31,14 +31,18 @@ def report_of_folder(folder: Path, on_frame: OnFrameRead | None = None) -> Path:
     written, SeriesError where frames cannot be read.
     """
     case = load_case(folder / "case.toml")
-    runs = {name: run for name, run in recorded(case, folder).items() if run["status"] not in UNFINISHED}
-    missing = [f"{name} is not shown: {_why(case, folder, name)}" for name in case.variant_names if name not in runs]
+    runs = {name: run for name, run in find_runs(case, folder).items() if run["status"] not in UNFINISHED}
+    missing = [
+        f"{name} is not shown: {_explain_absence(case, folder, name)}"
+        for name in case.variant_names
+        if name not in runs
+    ]
     if not runs:
         raise OutputError(f"{folder}: nothing to report: {missing[0]}; pipeline run solves it")
     sides = [
         Side(
             name.replace("_", " "), replace(read_series(folder / name), name=name), folder / name / "statistics.nc",
-            _facts(run),
+            _list_facts(run),
         )
         for name, run in runs.items()
     ]  # fmt: skip
@@ -46,22 +50,22 @@ def report_of_folder(folder: Path, on_frame: OnFrameRead | None = None) -> Path:
     notes += [note for run in runs.values() for note in run["notes"]]
     movie, poster = (folder / f"comparison.{ending}" for ending in ("mp4", "png"))
     title = case.movie.title or case.name.replace("_", " ")
-    closing = [*_settings(case, folder), *_made_by(next(iter(runs.values()))), *_again(folder)]
+    closing = [*_list_settings(case, folder), *_list_versions(next(iter(runs.values()))), *_list_commands(folder)]
     result = PageContent(
         title, tuple(sides), closing, notes, movie if movie.is_file() else None, poster if poster.is_file() else None
     )
     return write_page(result, folder / REPORT, on_frame)
 
 
-def _why(case: Case, folder: Path, name: str) -> str:
+def _explain_absence(case: Case, folder: Path, name: str) -> str:
     """Return why a variant's folder does not count."""
     run = read_run(folder / name)
     if not run.get("frames") or run["status"] in UNFINISHED:
         return "it is not finished"
-    return f"its folder has the result of another case ({difference(run['case'], determining(case.variant(name)))})"
+    return f"its folder has the result of another case ({describe_difference(run['case'], result_settings(case.variant(name)))})"
 
 
-def is_current(folder: Path) -> bool:
+def is_report_current(folder: Path) -> bool:
     """Return whether a folder has a report.html that is no older than what it was made of."""
     page = folder / REPORT
     if not page.is_file():
@@ -71,7 +75,7 @@ def is_current(folder: Path) -> bool:
     return all(path.stat().st_mtime_ns <= made for name in names for path in folder.glob(name))
 
 
-def report_of_analysis(found: Analysis | Comparison, series: Sequence[Series], command: str) -> Path:
+def write_analysis_report(found: Analysis | Comparison, series: Sequence[Series], command: str) -> Path:
     """Write report.html beside what was found of series, in the same order, and return its path; raises PipelineError.
 
     `command` is how it was found and is told in the page.
@@ -82,7 +86,7 @@ def report_of_analysis(found: Analysis | Comparison, series: Sequence[Series], c
         for one, source in zip(analyses, series, strict=True)
     )
     movie, poster = (found.folder / f"movie.{ending}" for ending in ("mp4", "png"))
-    closing: list[Block] = _apart(found) if isinstance(found, Comparison) else []
+    closing: list[Block] = _list_node_distances(found) if isinstance(found, Comparison) else []
     closing += [Heading(_AGAIN), CodeListing(command), Paragraph(f"Measured by pipeline {VERSION}.")]
     result = PageContent(
         ", ".join(side.label for side in sides), sides, closing, found.notes,
@@ -91,7 +95,7 @@ def report_of_analysis(found: Analysis | Comparison, series: Sequence[Series], c
     return write_page(result, found.folder / REPORT)
 
 
-def _apart(found: Comparison) -> list[Block]:
+def _list_node_distances(found: Comparison) -> list[Block]:
     """Return how far the nodes are from those of the first series, where that was asked for."""
     if not found.node_distances:
         return []
@@ -104,7 +108,7 @@ def _apart(found: Comparison) -> list[Block]:
     return [Heading("Difference of nodes"), Paragraph(text), TableBlock(head, rows)]
 
 
-def _facts(run: Mapping[str, Any]) -> dict[str, str]:
+def _list_facts(run: Mapping[str, Any]) -> dict[str, str]:
     """Return what a run says of itself, in texts."""
     facts = {"run": run["status"], "steps": str(run["work"]["steps"]), "solves": str(run["work"]["solves"])}
     if run.get("seconds_per_step"):
@@ -113,17 +117,17 @@ def _facts(run: Mapping[str, Any]) -> dict[str, str]:
     return facts
 
 
-def _settings(case: Case, folder: Path) -> list[Block]:
+def _list_settings(case: Case, folder: Path) -> list[Block]:
     text = "The case as it was run, all defaults written out; it is `case.toml` in the result folder."
     return [Heading("Settings"), Paragraph(text), CodeListing(case.to_toml(folder))]
 
 
-def _made_by(run: Mapping[str, Any]) -> list[Block]:
+def _list_versions(run: Mapping[str, Any]) -> list[Block]:
     rows = [(name, str(value)) for part in ("versions", "machine") for name, value in run[part].items()]
     return [Heading("Versions"), TableBlock(("what", "which"), rows)]
 
 
-def _again(folder: Path) -> list[Block]:
+def _list_commands(folder: Path) -> list[Block]:
     place = quote(folder.as_posix())
     lines = (
         f"pipeline run {place}/case.toml --out again    # solve the same case again",

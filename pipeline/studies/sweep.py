@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.errors import PipelineError, quote_value
 from pipeline.formats.atomic import write_whole
-from pipeline.results.resume import folder_lock
+from pipeline.results.lock import lock_folder
 from pipeline.system.version import VERSION
 
 Result = dict[str, Any]
@@ -69,7 +69,7 @@ def sweep(
     CaseError where another sweep is at work in the folder, OutputError.
     """
     _check_keys(points)
-    with folder_lock(folder):
+    with lock_folder(folder):
         return _swept(task, points, folder, scheduler, timed, on_result)
 
 

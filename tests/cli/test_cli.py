@@ -14,7 +14,7 @@ from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.cli.terminal import Bars
 from pipeline.errors import SolveError, shorten
-from pipeline.results.run_case import run_campaign
+from pipeline.results.case_run import run_case
 from pipeline.stepping.backward_euler import BackwardEuler
 from tests.bodies import without_figures, write_case
 
@@ -250,7 +250,7 @@ def test_the_bar_says_what_is_done_before_the_first_frame_and_which_model_a_step
 
     bars = Bars(Display())
     auto = load_case(case, overrides={"method.model": "auto"})
-    run_campaign(auto, Path("bars"), variants=["polar"], movie=False, notify=bars.solved, on_start=bars.started)
+    run_case(auto, Path("bars"), variants=["polar"], movie=False, notify=bars.solved, on_start=bars.started)
     assert said[0].startswith("setting up")
     assert len(said) == 2 + auto.schedule.frames and said[-1].split()[-1] in ("linear", "corotational")
 

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from pipeline.case import load_case
-from pipeline.results.run_case import run_campaign
+from pipeline.results.case_run import run_case
 from pipeline.series import read_series
 from tests.bodies import PLANAR, without_figures, write_case
 
@@ -36,7 +36,7 @@ def run(request, tmp_path_factory):
     path = write_case(folder, output=output, **sections)
     with pytest.MonkeyPatch.context() as patch:
         without_figures(patch)
-        return request.param, run_campaign(load_case(path), folder / "out", movie=False)
+        return request.param, run_case(load_case(path), folder / "out", movie=False)
 
 
 def test_it_reads_times_names_components_types_and_ranges(run):
@@ -81,7 +81,7 @@ def test_the_script_draws_the_variants(run, tmp_path):
 def test_the_script_works_in_the_window(tmp_path, monkeypatch):
     """ParaView's window hides the path of a script from it."""
     without_figures(monkeypatch)
-    folder = run_campaign(load_case(write_case(tmp_path)), tmp_path / "out", movie=False).folder
+    folder = run_case(load_case(write_case(tmp_path)), tmp_path / "out", movie=False).folder
     script = folder / "open_in_paraview.py"
     picture = folder / "window.png"
     more = (

@@ -7,7 +7,7 @@ from pipeline import build, frames, load_case, make_case
 from pipeline.errors import CaseError
 from pipeline.mesh.shapes import box
 from pipeline.mesh.simplex import Mesh
-from pipeline.results.run_case import run_campaign
+from pipeline.results.case_run import run_case
 from tests.bodies import without_figures, write_case
 
 MATERIAL = {"youngs_modulus": 1e7, "poisson_ratio": 0.3, "density": 1000.0}
@@ -112,12 +112,12 @@ def waves(speed):
 def test_a_result_is_kept_compared_and_described(tmp_path, monkeypatch):
     without_figures(monkeypatch)
     case = beam(loads={"body_force": waves(3.0)}, variants={"linear": {"method.law": "linear"}, "polar": {}})
-    first = run_campaign(case, tmp_path)
+    first = run_case(case, tmp_path)
     assert [variant.status for variant in first.variants] == ["finished", "finished"]
-    again = run_campaign(beam(loads={"body_force": waves(3.0)}, variants=case.variants), tmp_path)
+    again = run_case(beam(loads={"body_force": waves(3.0)}, variants=case.variants), tmp_path)
     assert [variant.status for variant in again.variants] == ["up to date", "up to date"]
     with pytest.raises(CaseError, match=r"loads\.body_force_field: function <lambda>, sha256 \w+ there"):
-        run_campaign(beam(loads={"body_force": waves(4.0)}, variants=case.variants), tmp_path)
+        run_case(beam(loads={"body_force": waves(4.0)}, variants=case.variants), tmp_path)
     read = load_case(tmp_path / "beam" / "case.toml")
     assert read.mesh == case.mesh and read.loads == case.loads
     with pytest.raises(CaseError, match=r"mesh\.arrays: was given in Python .* make the case in Python again"):

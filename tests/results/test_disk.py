@@ -9,7 +9,7 @@ from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.problem.problem import build
 from pipeline.results import disk
-from pipeline.results.run_case import run_campaign
+from pipeline.results.case_run import run_case
 from tests.bodies import PLANAR, without_figures, write_case
 
 
@@ -39,9 +39,9 @@ def test_the_estimate_is_within_a_factor_of_two(tmp_path, cells, frames, output)
     case = load_case(
         write_case(tmp_path, **sections, variants={"only": {}}, output=output, schedule={"dt": 0.01, "frames": frames})
     )
-    result = run_campaign(case, tmp_path / "out", movie=False)
-    told = sum(disk.needed_bytes(build(case.variant(name)), case.output) for name in case.variant_names)
-    assert told / 2 < disk._size(result.folder) < 2 * told
+    result = run_case(case, tmp_path / "out", movie=False)
+    told = sum(disk.estimate_bytes(build(case.variant(name)), case.output) for name in case.variant_names)
+    assert told / 2 < disk._measure_folder(result.folder) < 2 * told
 
 
 def test_without_room_nothing_is_solved_and_both_numbers_are_told(tmp_path, monkeypatch, capfd):
@@ -56,11 +56,11 @@ def test_without_room_nothing_is_solved_and_both_numbers_are_told(tmp_path, monk
 
 def test_what_is_there_already_counts(tmp_path, monkeypatch):
     case = load_case(write_case(tmp_path, schedule={"dt": 0.02, "frames": 20}))
-    result = run_campaign(case, tmp_path / "out", movie=False)
-    needed = sum(disk.needed_bytes(build(case.variant(name)), case.output) for name in case.variant_names)
+    result = run_case(case, tmp_path / "out", movie=False)
+    needed = sum(disk.estimate_bytes(build(case.variant(name)), case.output) for name in case.variant_names)
     with_free(monkeypatch, 0.7 * needed)
-    assert run_campaign(case, tmp_path / "out", movie=False, force=True).variants[0].status == "finished"
+    assert run_case(case, tmp_path / "out", movie=False, force=True).variants[0].status == "finished"
     with_free(monkeypatch, 0.0)
-    assert run_campaign(case, tmp_path / "out", movie=False).variants[0].status == "up to date"
+    assert run_case(case, tmp_path / "out", movie=False).variants[0].status == "up to date"
     shutil.rmtree(result.folder / "polar")
     assert main(["run", str(tmp_path / "beam.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 4

@@ -11,8 +11,8 @@ import pyvista
 from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.formats import atomic
-from pipeline.results.failure import examined
-from pipeline.results.run_case import run_campaign
+from pipeline.results.case_run import run_case
+from pipeline.results.failure import examine_failure
 from pipeline.run.frames import frames
 from pipeline.run.measures import measure
 from pipeline.series import read_series
@@ -70,7 +70,7 @@ def test_a_shorter_step_that_the_message_names_gets_through(tmp_path, capfd):
     dt = float(re.search(r"try schedule.dt = ([\d.e-]+)", capfd.readouterr().err)[1])
     assert code == 3 and dt < 0.002
     case = load_case(tmp_path / "beam.toml", overrides={"schedule.dt": dt, "method.max_iterations": 30})
-    assert run_campaign(case, tmp_path / "again", movie=False).variants[0].status == "finished"
+    assert run_case(case, tmp_path / "again", movie=False).variants[0].status == "finished"
 
 
 def test_the_state_is_the_one_before_the_step_also_between_frames(tmp_path, monkeypatch):
@@ -111,25 +111,26 @@ def test_a_picture_that_cannot_be_written_hides_nothing(tmp_path, monkeypatch, c
 def test_what_may_help_is_told_with_its_numbers(tmp_path):
     problem = built(tmp_path, method={"stepper": "symplectic_euler"}, schedule={"dt": 1e-4, "frames": 3})
     assert re.fullmatch(
-        r"symplectic_euler is stable below 0\.00\d+ s at rest: .*", examined(problem, problem.start).remedies()[0]
+        r"symplectic_euler is stable below 0\.00\d+ s at rest: .*",
+        examine_failure(problem, problem.start).list_remedies()[0],
     )
     problem = built(tmp_path, initial={"spin": {"axis": [0.0, 1.0, 0.0], "rate": 2000.0}}, supports=None)
-    found = examined(problem, problem.start)
+    found = examine_failure(problem, problem.start)
     # a rate w turns x + dt v by atan(w dt)
     assert found.turn == pytest.approx(np.degrees(np.arctan(np.radians(2000.0) * 0.02)))
-    assert found.remedies() == [
+    assert found.list_remedies() == [
         f"try schedule.dt = {0.02 * 10 / found.turn[0]:.2g}",
         'method.iterations = "converged" with method.rotation = "polar"',
     ]
     turned = State(7, problem.body.mesh.points @ turn(3, [0.0, 0.0, 1.0], 0.5).T, 0 * problem.start.v)
-    assert examined(problem, turned).rotation_angle == pytest.approx(np.degrees(0.5))
-    assert examined(problem, turned).turn == pytest.approx(0, abs=1e-5)
+    assert examine_failure(problem, turned).rotation_angle == pytest.approx(np.degrees(0.5))
+    assert examine_failure(problem, turned).turn == pytest.approx(0, abs=1e-5)
 
 
 def test_a_poor_mesh_is_blamed(tmp_path):
     mesh = {"shape": "box", "size": [1.0, 3.0, 0.002], "cells": [1, 3, 1]}
     problem = built(tmp_path, mesh=mesh)
-    last = examined(problem, problem.start).remedies()[-1]
+    last = examine_failure(problem, problem.start).list_remedies()[-1]
     assert re.fullmatch(r"a better mesh: the quality of cell \d+ is 0\.00\d+, 1 is regular", last)
 
 

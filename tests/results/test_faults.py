@@ -23,7 +23,7 @@ from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.errors import OutputError
 from pipeline.formats import atomic
-from pipeline.results.run_case import CampaignResult, run_campaign
+from pipeline.results.case_run import CaseResult, run_case
 from pipeline.series import read_series
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.vtu import VtuSink
@@ -46,8 +46,8 @@ def written(folder: Path, *, frames: int = 12, seconds: float = 1e-9) -> Path:
     return write_case(folder, schedule=schedule, output={"checkpoint_seconds": seconds}, variants=variants)
 
 
-def solve(path: Path, out: Path, **keywords) -> CampaignResult:
-    return run_campaign(load_case(path), out, movie=False, **keywords)
+def solve(path: Path, out: Path, **keywords) -> CaseResult:
+    return run_case(load_case(path), out, movie=False, **keywords)
 
 
 def command(path: Path, out: Path, *more: str) -> list[str]:
@@ -59,7 +59,7 @@ def warm_child(arguments: list[str]) -> BaseProcess:
     """The command in a process that does not have to import all that it needs."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
-        ["pipeline.results.run_case", "pipeline.cli", "pipeline.fem.kernels.tetrahedron", "pyvista", "netCDF4"]
+        ["pipeline.results.case_run", "pipeline.cli", "pipeline.fem.kernels.tetrahedron", "pyvista", "netCDF4"]
     )
     child = context.Process(target=main, args=(arguments,))
     child.start()
@@ -225,8 +225,8 @@ def test_force_does_not_break_another_run_s_lock(tmp_path, capfd):
     path, out = written(tmp_path), tmp_path / "out"
     solve(path, out)
     before = {file: file.read_bytes() for file in out.rglob("*") if file.is_file()}
-    code = "import sys\nfrom pathlib import Path\nfrom pipeline.results.resume import folder_lock\n" + (
-        "with folder_lock(Path(sys.argv[1])):\n    print('held', flush=True)\n    sys.stdin.read()"
+    code = "import sys\nfrom pathlib import Path\nfrom pipeline.results.lock import lock_folder\n" + (
+        "with lock_folder(Path(sys.argv[1])):\n    print('held', flush=True)\n    sys.stdin.read()"
     )
     holder = subprocess.Popen(
         [sys.executable, "-c", code, str(out / "beam")], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE
@@ -267,7 +267,7 @@ def test_reproduce_goes_on_where_it_stopped(tmp_path, monkeypatch, capfd):
         seen.append((case.name, keywords["resume"], keywords["force"]))
         raise OutputError("far enough")
 
-    monkeypatch.setattr("pipeline.studies.thesis.run_campaign", campaign)
+    monkeypatch.setattr("pipeline.studies.thesis.run_case", campaign)
     for way in ([], ["--resume"], ["--force"]):
         assert main(["reproduce", "--cases", str(ROOT / "cases"), "--out", str(tmp_path), *way]) == 4
     assert [one[1:] for one in seen] == [(False, False), (True, False), (False, True)]
@@ -293,7 +293,7 @@ from pathlib import Path
 from threading import Thread
 from pipeline import load_case, variant_run
 from pipeline.results.analysis_folder import compare
-from pipeline.results.run_case import run_campaign
+from pipeline.results.case_run import run_case
 from pipeline.series import read_series
 
 case, out, done = load_case(sys.argv[1]), Path(sys.argv[2]), []
@@ -316,7 +316,7 @@ def on_three_threads(work: str, case: Path, out: Path) -> subprocess.CompletedPr
 SOLVED = """
 def work(name):
     for k in range(3):
-        done.append(run_campaign(case, out / f"{name}-{k}", movie=False).exit_code)
+        done.append(run_case(case, out / f"{name}-{k}", movie=False).exit_code)
 """
 
 
@@ -340,14 +340,14 @@ def interrupting(self, state, work, writer):
 
 genuine, variant_run.VariantRun._after_step = variant_run.VariantRun._after_step, interrupting
 try:
-    run_campaign(case, out / "base", movie=False)
+    run_case(case, out / "base", movie=False)
 except KeyboardInterrupt:
     variant_run.VariantRun._after_step = genuine
 
 def work(name):
     for k in range(4):
         shutil.copytree(out / "base", out / f"{name}-{k}")
-        resumed = run_campaign(case, out / f"{name}-{k}", movie=False, resume=True)
+        resumed = run_case(case, out / f"{name}-{k}", movie=False, resume=True)
         twice = [read_series(resumed.variants[0].folder, name=one) for one in "ab"]
         compare(twice, out / f"{name}-{k}" / "compared", difference=True)
         done.extend(resumed.variants[0].run["resumed_after_steps"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.case import load_case
-from pipeline.results.run_case import run_campaign
+from pipeline.results.case_run import run_case
 from tests.bodies import without_figures, write_case
 
 
@@ -34,7 +34,7 @@ def test_memory_and_open_files_stay_as_they_are(tmp_path, monkeypatch):
         memory.append(resident_bytes())
         files.append(len(os.listdir("/proc/self/fd")))
 
-    result = run_campaign(case, tmp_path / "out", movie=False, notify=look)
+    result = run_case(case, tmp_path / "out", movie=False, notify=look)
     assert result.variants[0].run["work"]["steps"] == 20_000
     # the first frames load libraries and fill caches
     half = np.array(memory[50:], dtype=float)

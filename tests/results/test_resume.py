@@ -17,12 +17,12 @@ from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.errors import CaseError
 from pipeline.linear.work import Work
-from pipeline.results import resume as record_keeping
-from pipeline.results import run_case as campaign
-from pipeline.results import variant as variant_run
-from pipeline.results.checkpoint import Checkpoint, CheckpointFolder, decoded, encoded
-from pipeline.results.resume import LOCK, Interrupted, folder_lock
-from pipeline.results.run_case import CampaignResult, run_campaign
+from pipeline.results import case_run as campaign
+from pipeline.results import lock, variant_run
+from pipeline.results.case_run import CaseResult, run_case
+from pipeline.results.checkpoint import Checkpoint, CheckpointFolder, decode_checkpoint, encode_checkpoint
+from pipeline.results.interrupt import Interrupted
+from pipeline.results.lock import LOCK, lock_folder
 from pipeline.run.recording import RunSummary
 from pipeline.series import read_series
 from pipeline.stepping.bdf2 import BDF2
@@ -87,8 +87,8 @@ def written(folder: Path, method: str = "polar", *, seconds: float = 1e9, **sect
     )
 
 
-def solve(path: Path, out: Path, **keywords) -> CampaignResult:
-    return run_campaign(load_case(path), out, movie=False, **keywords)
+def solve(path: Path, out: Path, **keywords) -> CaseResult:
+    return run_case(load_case(path), out, movie=False, **keywords)
 
 
 def stopped_after(path: Path, out: Path, step: int, monkeypatch, **keywords) -> Path:
@@ -331,7 +331,7 @@ def test_a_checkpoint_comes_back_to_the_bit():
     work = Work(steps=3, iterations=7, seconds=0.1, indicator=np.inf)
     summary = RunSummary(4, 9, 0.1 + 0.2, work, 1 / 3, 2 / 3, 4 / 3, -0.1, 5, 0.7)
     memory = {"guard": np.array([1.0, -0.0, 5e-324]), "rotation_before": R.transpose(0, 2, 1)}
-    read = decoded(encoded(Checkpoint(State(12, x, v, memory), work, summary)))
+    read = decode_checkpoint(encode_checkpoint(Checkpoint(State(12, x, v, memory), work, summary)))
     assert read.state.step == 12 and (read.work, read.summary) == (work, summary)
     assert read.state.x.tobytes() == x.tobytes() and read.state.v.tobytes() == v.tobytes()
     assert read.state.memory.keys() == memory.keys()
@@ -340,12 +340,12 @@ def test_a_checkpoint_comes_back_to_the_bit():
 
 def test_no_byte_of_a_checkpoint_can_change_unseen():
     summary = RunSummary(1, 0, 0.0, Work(), 0.0, 0.0, 0.0, 1.0, 0, 0.0)
-    data = encoded(Checkpoint(State(1, np.zeros((1, 2)), np.ones((1, 2))), Work(), summary))
+    data = encode_checkpoint(Checkpoint(State(1, np.zeros((1, 2)), np.ones((1, 2))), Work(), summary))
     for place in range(0, len(data), 7):
         changed = bytearray(data)
         changed[place] ^= 4
         with pytest.raises(ValueError, match="checksum"):
-            decoded(bytes(changed))
+            decode_checkpoint(bytes(changed))
 
 
 def test_short_runs_write_no_checkpoint_and_long_ones_keep_two(tmp_path, monkeypatch):
@@ -368,7 +368,7 @@ def test_short_runs_write_no_checkpoint_and_long_ones_keep_two(tmp_path, monkeyp
 
 def test_a_second_run_into_a_folder_is_refused_on_one_line(tmp_path, capfd):
     path = written(tmp_path)
-    with folder_lock(tmp_path / "out" / "beam"):
+    with lock_folder(tmp_path / "out" / "beam"):
         assert main(["run", str(path), "--out", str(tmp_path / "out"), "--no-movie", "--quiet"]) == 2
         assert (tmp_path / "out" / "beam" / LOCK).exists()
     err = capfd.readouterr().err
@@ -381,28 +381,28 @@ def test_the_lock_dies_with_its_holder(tmp_path):
     code = f"""
 import sys, time
 from pathlib import Path
-from pipeline.results.resume import folder_lock
-with folder_lock(Path({str(tmp_path)!r})):
+from pipeline.results.lock import lock_folder
+with lock_folder(Path({str(tmp_path)!r})):
     print("held", flush=True)
     time.sleep(60)
 """
     root = Path(__file__).resolve().parents[2]
     child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=root)
     assert child.stdout is not None and child.stdout.readline() == "held\n"
-    with pytest.raises(CaseError, match="another run"), folder_lock(tmp_path):
+    with pytest.raises(CaseError, match="another run"), lock_folder(tmp_path):
         pass
     child.kill()
     child.wait()
     child.stdout.close()
     assert (tmp_path / LOCK).exists()
-    with folder_lock(tmp_path):
+    with lock_folder(tmp_path):
         pass
     assert not (tmp_path / LOCK).exists()
 
 
 def test_a_lock_file_that_was_removed_while_it_was_waited_for_is_made_again(tmp_path, monkeypatch):
     """The one who let go has removed the file that we had opened already."""
-    genuine, opened = record_keeping._opened, []
+    genuine, opened = lock._open_lock_file, []
 
     def removed_at_first(path):
         descriptor = genuine(path)
@@ -411,8 +411,8 @@ def test_a_lock_file_that_was_removed_while_it_was_waited_for_is_made_again(tmp_
         opened.append(descriptor)
         return descriptor
 
-    monkeypatch.setattr(record_keeping, "_opened", removed_at_first)
-    with folder_lock(tmp_path):
+    monkeypatch.setattr(lock, "_open_lock_file", removed_at_first)
+    with lock_folder(tmp_path):
         assert len(opened) == 2 and (tmp_path / LOCK).exists()
 
 

@@ -12,10 +12,9 @@ import xarray
 from pipeline.case import load_case
 from pipeline.errors import CaseError, OutputError, SolveError
 from pipeline.problem.problem import Problem
-from pipeline.results import comparison
-from pipeline.results import run_case as campaign
-from pipeline.results import variant as variant_run
-from pipeline.results.run_case import CampaignResult, run_campaign
+from pipeline.results import case_run as campaign
+from pipeline.results import comparison, variant_run
+from pipeline.results.case_run import CaseResult, run_case
 from pipeline.stepping.backward_euler import BackwardEuler
 from tests.bodies import PLANAR, assert_conventional, without_figures, write_case
 
@@ -28,13 +27,13 @@ def _no_figures(monkeypatch):
     without_figures(monkeypatch)
 
 
-def solve(out: Path, *, overrides=None, sections=None, **keywords) -> CampaignResult:
+def solve(out: Path, *, overrides=None, sections=None, **keywords) -> CaseResult:
     out.mkdir(exist_ok=True)
     case = load_case(write_case(out.parent, **(sections or {})), overrides=overrides)
-    return run_campaign(case, out, movie=False, **keywords)
+    return run_case(case, out, movie=False, **keywords)
 
 
-def statuses(result: CampaignResult) -> dict[str, str]:
+def statuses(result: CaseResult) -> dict[str, str]:
     return {one.name: one.status for one in result.variants}
 
 
@@ -110,13 +109,13 @@ def test_the_worst_ratio_of_run_json_is_that_of_the_statistics(done):
 
 
 def test_the_resolved_case_in_a_result_gives_the_result_again(done, tmp_path):
-    again = run_campaign(load_case(done.folder / "polar" / "case.toml"), tmp_path, movie=False)
+    again = run_case(load_case(done.folder / "polar" / "case.toml"), tmp_path, movie=False)
     patterns = ("*.vtu", "*.pvd")
     assert contents(again.folder / "default", *patterns) == contents(done.folder / "polar", *patterns)
 
 
 def test_the_same_case_twice_gives_the_same_bytes(done, tmp_path):
-    again = run_campaign(load_case(done.folder / "case.toml"), tmp_path, movie=False)
+    again = run_case(load_case(done.folder / "case.toml"), tmp_path, movie=False)
     patterns = ("*.vtu", "*.pvd", "*.nc")
     first, second = contents(done.folder, *patterns), contents(again.folder, *patterns)
     assert len(first) == 3 * (5 + 1 + 1) + 1 and first.keys() == second.keys()
@@ -160,7 +159,7 @@ def test_another_movie_alone_is_drawn_anew_and_nothing_is_solved(out, tmp_path, 
 
     def draw(case, folder, shown, *, on_drawing):
         drawn.append((case.movie.speed, case.movie.title))
-        for name in comparison.DRAWN:
+        for name in comparison.MOVIE_FILES:
             (folder / name).touch()
 
     monkeypatch.setattr(comparison, "draw_movie", draw)
@@ -168,7 +167,7 @@ def test_another_movie_alone_is_drawn_anew_and_nothing_is_solved(out, tmp_path, 
 
     def again(**movie):
         case = load_case(write_case(tmp_path, movie=movie))
-        return run_campaign(case, out).made
+        return run_case(case, out).made
 
     assert again() and drawn == [(1.0, None)]  # none was there
     assert again() == () and len(drawn) == 1
@@ -186,7 +185,7 @@ def test_an_old_movie_does_not_outlive_an_interruption(out, tmp_path, monkeypatc
 
     monkeypatch.setattr(campaign, "compare", stopped)
     with pytest.raises(KeyboardInterrupt):
-        run_campaign(load_case(write_case(tmp_path, movie={"fps": 10})), out)
+        run_case(load_case(write_case(tmp_path, movie={"fps": 10})), out)
     assert not movie.exists()
 
 
@@ -379,7 +378,7 @@ def test_an_output_folder_that_is_a_file_is_an_output_error(tmp_path):
     (tmp_path / "file").write_text("in the way")
     for force in (False, True):
         with pytest.raises(OutputError, match=r"Not a directory|is a file, not a folder") as caught:
-            run_campaign(load_case(write_case(tmp_path)), tmp_path / "file", movie=False, force=force)
+            run_case(load_case(write_case(tmp_path)), tmp_path / "file", movie=False, force=force)
         assert str(caught.value).startswith(f"{tmp_path / 'file' / 'beam'}")
 
 

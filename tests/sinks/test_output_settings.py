@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray
 
-from pipeline.results import variant as variant_run
+from pipeline.results import variant_run
 from pipeline.series import read_series
 from pipeline.sinks.frame_formats import FORMATS
 from tests.results.test_faults import ROOT, command

@@ -17,10 +17,9 @@ import pytest
 from pipeline import build, frames, load_case
 from pipeline.errors import OutputError, SolveError
 from pipeline.mesh.shapes import box
-from pipeline.results import resume as record_keeping
-from pipeline.results import variant as variant_run
+from pipeline.results import lock, variant_run
 from pipeline.results.checkpoint import CheckpointFolder
-from pipeline.results.resume import folder_lock
+from pipeline.results.lock import lock_folder
 from pipeline.run.frame import Frame
 from pipeline.run.recording import Recording, drive
 from pipeline.sinks.frame_formats import FORMATS
@@ -293,11 +292,11 @@ def test_an_end_in_the_middle_of_a_message_does_not_wait(tmp_path, monkeypatch):
 def test_the_lock_outlives_the_one_who_asked_until_nothing_more_is_written(tmp_path, monkeypatch):
     code = f"""
 import os, pathlib, signal, sys, time
-from pipeline.results.resume import folder_lock
+from pipeline.results.lock import lock_folder
 from pipeline.sinks.writer_process import WriterProcess
 from tests.sinks.test_writer_process import Slow, some_frames
 folder = pathlib.Path({str(tmp_path)!r})
-with folder_lock(folder) as lock:
+with lock_folder(folder) as lock:
     recording = WriterProcess(keep=lock).recording([Slow(folder / "notes")])
     for frame in some_frames(5):
         recording.take(frame)
@@ -306,15 +305,15 @@ with folder_lock(folder) as lock:
     os.kill(os.getpid(), signal.SIGKILL)
 """
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == -signal.SIGKILL
-    with pytest.raises(Exception, match="another run is writing there"), folder_lock(tmp_path):
+    with pytest.raises(Exception, match="another run is writing there"), lock_folder(tmp_path):
         pass
     (tmp_path / "go").touch()
     deadline = time.monotonic() + PATIENCE
     while "closed" not in (lines := Slow(tmp_path / "notes").lines()) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert lines == ["0", "1", "2", "closed"]  # what waited is left out
-    monkeypatch.setattr(record_keeping, "_PATIENCE", PATIENCE)
-    with folder_lock(tmp_path):  # after a moment
+    monkeypatch.setattr(lock, "_PATIENCE", PATIENCE)
+    with lock_folder(tmp_path):  # after a moment
         pass
 
 

@@ -104,12 +104,12 @@ def test_closed_standard_streams_are_neither_the_lock_nor_the_answers(tmp_path, 
 import os, pathlib
 for number in [{closed}]:
     os.close(number)
-from pipeline.results.resume import folder_lock
+from pipeline.results.lock import lock_folder
 from pipeline.sinks.writer_process import WriterProcess
 from tests.sinks.test_writer_process import some_frames
 from tests.sinks.test_writer_start import Erring
 folder = pathlib.Path({str(tmp_path)!r})
-with folder_lock(folder) as lock, WriterProcess(keep=lock) as process:
+with lock_folder(folder) as lock, WriterProcess(keep=lock) as process:
     recording = process.recording([Erring(folder / "notes")])
     for frame in some_frames(3):
         recording.take(frame)

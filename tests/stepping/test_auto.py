@@ -17,7 +17,7 @@ from pipeline.fem.supports import rotation_about
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import signed_volumes
 from pipeline.results.analysis_folder import compare
-from pipeline.results.run_case import run_campaign
+from pipeline.results.case_run import run_case
 from pipeline.run.frame import Frame
 from pipeline.series import read_series
 from pipeline.series.xarray_plugin import make_lazy_dataset
@@ -150,7 +150,7 @@ def test_auto_is_watched_whatever_iterations_the_case_had() -> None:
 def test_what_every_step_needed_is_recorded_plotted_and_made_again_from_frames(tmp_path) -> None:
     overrides = {"method.model": "auto", "schedule.steps_per_frame": 3, "schedule.frames": 8}
     case = load_case(CASES / "bar.toml", overrides=overrides)
-    result = run_campaign(case, tmp_path, variants=["polar", "linear"], movie=False)
+    result = run_case(case, tmp_path, variants=["polar", "linear"], movie=False)
     folder = result.folder / "polar"
     with xarray.open_dataset(folder / "statistics.nc") as dataset:
         assert dataset["step"].values.tolist() == list(range(1, 25))
@@ -171,7 +171,7 @@ def test_what_every_step_needed_is_recorded_plotted_and_made_again_from_frames(t
 def test_recorded_steps_do_not_disturb_what_reads_frames(tmp_path) -> None:
     overrides = {"method.model": "auto", "schedule.steps_per_frame": 3, "schedule.frames": 4}
     case = load_case(CASES / "bar.toml", overrides=overrides)
-    folder = run_campaign(case, tmp_path, variants=["polar", "linear"], movie=False).folder
+    folder = run_case(case, tmp_path, variants=["polar", "linear"], movie=False).folder
     found = compare([folder / "polar", folder / "linear"], tmp_path / "compared")
     with xarray.open_dataset(found.folder / "comparison.nc") as joined:
         assert "rung" in joined and "step" not in joined.dims and joined.sizes["time"] == 5
@@ -181,7 +181,7 @@ def test_recorded_steps_do_not_disturb_what_reads_frames(tmp_path) -> None:
 
 def test_the_plot_of_efforts_goes_with_the_variants_that_it_shows(tmp_path) -> None:
     keys = {"schedule.frames": 2, "mesh.cells": [1, 2, 1]}
-    run = partial(run_campaign, out=tmp_path, variants=["polar"], movie=False, force=True)
+    run = partial(run_case, out=tmp_path, variants=["polar"], movie=False, force=True)
     folder = run(load_case(CASES / "bar.toml", overrides=keys | {"method.model": "auto"})).folder
     assert (folder / "effort.png").is_file()
     run(load_case(CASES / "bar.toml", overrides=keys))

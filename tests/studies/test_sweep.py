@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import PipelineError, SolveError
-from pipeline.results.resume import folder_lock
+from pipeline.results.lock import lock_folder
 from pipeline.studies import sweep as sweep_module
 from pipeline.studies.sweep import Point, sweep
 
@@ -104,7 +104,7 @@ def test_an_error_is_the_result_of_its_point(tmp_path, here):
 
 
 def test_two_sweeps_do_not_share_a_folder(tmp_path, here):
-    with folder_lock(tmp_path), pytest.raises(PipelineError, match="another run"):
+    with lock_folder(tmp_path), pytest.raises(PipelineError, match="another run"):
         sweep(square(), points(1), tmp_path)
 
 

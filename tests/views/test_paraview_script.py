@@ -7,7 +7,7 @@ from unittest.mock import MagicMock
 import pytest
 
 from pipeline.case import load_case
-from pipeline.results.run_case import run_campaign
+from pipeline.results.case_run import run_case
 from pipeline.views import camera
 from pipeline.views.paraview import SCRIPT_NAME, write_script
 from tests.bodies import without_figures, write_case
@@ -29,7 +29,7 @@ def read_values(script):
 @pytest.mark.parametrize(("name", "index"), [("vtu", "series.pvd"), ("vtkhdf", "series.vtkhdf")])
 def test_each_run_leaves_a_script_that_names_its_variants_by_relative_paths(tmp_path, monkeypatch, name, index):
     without_figures(monkeypatch)
-    result = run_campaign(load_case(write_case(tmp_path, output={"format": name})), tmp_path / "out", movie=False)
+    result = run_case(load_case(write_case(tmp_path, output={"format": name})), tmp_path / "out", movie=False)
     script = result.folder / SCRIPT_NAME
     values = read_values(script)
     assert script in result.made
@@ -37,7 +37,7 @@ def test_each_run_leaves_a_script_that_names_its_variants_by_relative_paths(tmp_
     assert all((result.folder / path).is_file() for _, path in values["VARIANTS"])
     assert 0 < values["RADIUS"] <= 1
     script.unlink()
-    again = run_campaign(load_case(write_case(tmp_path, output={"format": name})), tmp_path / "out", movie=False)
+    again = run_case(load_case(write_case(tmp_path, output={"format": name})), tmp_path / "out", movie=False)
     assert script in again.made  # made anew though nothing had to be solved
 
 

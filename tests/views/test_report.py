@@ -19,9 +19,9 @@ from pipeline.cli import main
 from pipeline.errors import OutputError
 from pipeline.formats.netcdf import read_dataset
 from pipeline.results.analysis_folder import analyze, compare
-from pipeline.results.comparison import recorded
-from pipeline.results.report import report_of_analysis, report_of_folder
-from pipeline.results.run_case import run_campaign
+from pipeline.results.comparison import find_runs
+from pipeline.results.report import write_analysis_report, write_report
+from pipeline.results.case_run import run_case
 from pipeline.series import read_series
 from pipeline.views.html import page as web_page
 from pipeline.views.html import solids as web_solids
@@ -41,12 +41,12 @@ def folder(tmp_path_factory):
     case = load_case(write_case(place, movie={"title": TITLE}))
     with pytest.MonkeyPatch.context() as patch:
         without_figures(patch)
-        return run_campaign(case, place / "outputs", movie=False).folder
+        return run_case(case, place / "outputs", movie=False).folder
 
 
 @pytest.fixture(scope="module")
 def text(folder) -> str:
-    return report_of_folder(folder).read_text(encoding="utf-8")
+    return write_report(folder).read_text(encoding="utf-8")
 
 
 class Reader(HTMLParser):
@@ -123,7 +123,7 @@ def test_the_page_agrees_with_the_datasets(folder, text):
 
 
 def test_the_same_result_is_the_same_page(folder, text):
-    assert report_of_folder(folder).read_text(encoding="utf-8") == text
+    assert write_report(folder).read_text(encoding="utf-8") == text
 
 
 def test_a_scene_holds_the_frames(folder, text):
@@ -138,7 +138,7 @@ def test_a_scene_holds_the_frames(folder, text):
 
 def test_without_k3d_the_page_has_the_rest(folder, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "k3d", None)
-    text = report_of_folder(folder).read_text(encoding="utf-8")
+    text = write_report(folder).read_text(encoding="utf-8")
     assert "k3d is not installed" in text and 'id="bodies"' not in text and 'id="curves"' in text
     assert read_data(text)["solids"] is None and Reader(text).wrong == []
 
@@ -184,10 +184,10 @@ def test_movies_lie_inside_or_beside_the_page(folder, monkeypatch):
     movie.write_bytes(b"film")
     poster.write_bytes(b"still")
     try:
-        inside = report_of_folder(folder).read_text(encoding="utf-8")
+        inside = write_report(folder).read_text(encoding="utf-8")
         assert 'src="data:video/mp4;base64,ZmlsbQ=="' in inside and 'src="data:image/png;base64,c3RpbGw="' in inside
         monkeypatch.setattr(web_page, "MOST_MOVIE_BYTES", 3)
-        beside = report_of_folder(folder).read_text(encoding="utf-8")
+        beside = write_report(folder).read_text(encoding="utf-8")
         assert 'src="comparison.mp4"' in beside and "too large" in beside
     finally:
         movie.unlink()
@@ -197,42 +197,42 @@ def test_movies_lie_inside_or_beside_the_page(folder, monkeypatch):
 def test_a_variant_that_failed_and_one_that_is_missing(tmp_path, monkeypatch):
     without_figures(monkeypatch)
     case = load_case(write_case(tmp_path))
-    folder = run_campaign(case, tmp_path / "outputs", variants=["linear"], movie=False).folder
+    folder = run_case(case, tmp_path / "outputs", variants=["linear"], movie=False).folder
     run = folder / "linear" / "run.json"
     run.write_text(json.dumps(json.loads(run.read_text()) | {"status": "failed", "message": "it <blew> up"}))
-    text = report_of_folder(folder).read_text(encoding="utf-8")
+    text = write_report(folder).read_text(encoding="utf-8")
     assert "linear failed: it &lt;blew&gt; up" in text
     assert "polar is not shown: it is not finished" in text
     (folder / "case.toml").write_text((folder / "case.toml").read_text().replace("frames = 4", "frames = 5"))
     with pytest.raises(OutputError, match=r"of another case \(schedule.frames: 4 there, 5 here\); pipeline run"):
-        report_of_folder(folder)
+        write_report(folder)
     run.write_text(json.dumps(json.loads(run.read_text()) | {"status": "running"}))
     with pytest.raises(OutputError, match="nothing to report: linear is not shown: it is not finished; pipeline run"):
-        report_of_folder(folder)
+        write_report(folder)
 
 
 def test_bodies_in_the_plane(tmp_path, monkeypatch):
     without_figures(monkeypatch)
     case = load_case(write_case(tmp_path, **PLANAR, supports=[{"plane": "y", "at": 3.0}]))
-    text = report_of_folder(run_campaign(case, tmp_path / "outputs", movie=False).folder).read_text(encoding="utf-8")
+    text = write_report(run_case(case, tmp_path / "outputs", movie=False).folder).read_text(encoding="utf-8")
     assert "series of 24 triangles" in text and read_data(text)["energy"] == "J/m"
 
 
 def test_the_page_of_anybodys_series(folder, tmp_path, monkeypatch, capsys):
     without_figures(monkeypatch)
     one = read_series(folder / "linear")
-    path = report_of_analysis(analyze(one, tmp_path / "one"), [one], "pipeline analyze x")
+    path = write_analysis_report(analyze(one, tmp_path / "one"), [one], "pipeline analyze x")
     text = path.read_text(encoding="utf-8")
     assert path == tmp_path / "one" / "report.html" and "One series of 18 tetrahedra" in text
     assert "pipeline analyze x" in text
     hostile = read_series(folder / "linear", name="</script><i>name")
-    text = report_of_analysis(analyze(hostile, tmp_path / "hostile"), [hostile], "").read_text(encoding="utf-8")
+    text = write_analysis_report(analyze(hostile, tmp_path / "hostile"), [hostile], "").read_text(encoding="utf-8")
     assert read_data(text)["labels"] == ["</script><i>name"] and Reader(text).wrong == [] and "<i>" not in text
     pair = [one, read_series(folder / "polar", name="linear")]
-    text = report_of_analysis(compare(pair, tmp_path / "two"), pair, "").read_text(encoding="utf-8")
+    text = write_analysis_report(compare(pair, tmp_path / "two"), pair, "").read_text(encoding="utf-8")
     assert read_data(text)["labels"] == ["linear", "linear_2"] and "Difference of nodes" not in text
     comparison = compare(pair, tmp_path / "apart", difference=True)
-    text = report_of_analysis(comparison, pair, "").read_text(encoding="utf-8")
+    text = write_analysis_report(comparison, pair, "").read_text(encoding="utf-8")
     assert "from those of linear" in text and f">{comparison.node_distances[0].worst:.4g}</td>" in text
     out = (tmp_path / "three").as_posix()
     source = (folder / "linear").as_posix()
@@ -276,10 +276,10 @@ def test_the_result_folder_of_a_case_with_a_mesh_file_is_recognized(tmp_path, mo
         mesh.save(tmp_path / "meshes" / name)
     sections = {"supports": [{"plane": "y", "at": 1.0}], "variants": None}
     path = write_case(tmp_path, mesh={"file": "meshes/cube.vtu"}, **sections)
-    folder = run_campaign(load_case(path), tmp_path / "outputs", movie=False).folder
+    folder = run_case(load_case(path), tmp_path / "outputs", movie=False).folder
     case = load_case(folder / "case.toml")
-    assert list(recorded(case, folder)) == ["default"]
-    assert "One series of 5 tetrahedra" in report_of_folder(folder).read_text(encoding="utf-8")
+    assert list(find_runs(case, folder)) == ["default"]
+    assert "One series of 5 tetrahedra" in write_report(folder).read_text(encoding="utf-8")
     text = (folder / "case.toml").read_text()
     (folder / "case.toml").write_text(text.replace("cube.vtu", "other.vtu"))
-    assert not recorded(load_case(folder / "case.toml"), folder)
+    assert not find_runs(load_case(folder / "case.toml"), folder)

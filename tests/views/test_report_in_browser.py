@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from pipeline.case import load_case
-from pipeline.results.report import report_of_folder
-from pipeline.results.run_case import run_campaign
+from pipeline.results.case_run import run_case
+from pipeline.results.report import write_report
 from pipeline.views.movie.encoder import Encoder
 from tests.bodies import without_figures, write_case
 
@@ -26,12 +26,12 @@ def report(tmp_path_factory):
     case = load_case(write_case(place, variants=variants, schedule={"dt": 0.02, "frames": 8}))
     with pytest.MonkeyPatch.context() as patch:
         without_figures(patch)
-        folder = run_campaign(case, place / "outputs", movie=False).folder
+        folder = run_case(case, place / "outputs", movie=False).folder
     with Encoder(folder / "comparison.mp4", (320, 180), 30) as film:
         for level in range(30):
             film.write(np.full((180, 320, 3), 8 * level, dtype=np.uint8).tobytes())
     Image.new("RGB", (320, 180), "red").save(folder / "comparison.png")
-    return report_of_folder(folder)
+    return write_report(folder)
 
 
 @pytest.fixture(scope="module")

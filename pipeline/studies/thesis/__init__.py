@@ -11,8 +11,8 @@ from pipeline.case import load_case
 from pipeline.errors import SolveError
 from pipeline.formats.atomic import write_whole
 from pipeline.problem.problem import build
-from pipeline.results.run_case import run_campaign
-from pipeline.results.variant import Notify
+from pipeline.results.case_run import run_case
+from pipeline.results.variant_run import Notify
 from pipeline.studies.thesis.our_runs import Scene, scene_of
 from pipeline.studies.thesis.published import AS_PRINTED, PLANAR_SCENE, SCENES
 from pipeline.studies.thesis.report import KINDS, Report, make_report
@@ -57,14 +57,14 @@ def reproduce(
     """Run the scenes of a folder of cases into out/<case>/ and write out/reproduction.html and .md.
 
     What is up to date is not solved again; `resume` goes on with what is unfinished. `frames` shortens every schedule.
-    Raises PipelineError as run_campaign does.
+    Raises PipelineError as run_case does.
     """
     overrides = {} if frames is None else {"schedule.frames": frames}
     loaded = [load_case(Path(cases) / f"{name}.toml", overrides=overrides) for name in scenes]
     bar = build(load_case(Path(cases) / f"bar_small{AS_PRINTED}.toml").variant("linear"))
     ran, failed = {}, []
     for case in loaded:
-        result = run_campaign(case, out, force=force, resume=resume, movie=movie, notify=notify, on_drawing=on_drawing)
+        result = run_case(case, out, force=force, resume=resume, movie=movie, notify=notify, on_drawing=on_drawing)
         ran[case.name] = scene_of(case, result)
         failed += [f"{case.name}/{v.name}" for v in result.variants if v.run.get("status") == "failed"]
     own = Path(out) / "reproduction"

@@ -8,8 +8,8 @@ import numpy as np
 
 from pipeline.case import Case
 from pipeline.formats.netcdf import read_dataset
-from pipeline.results.run_case import CampaignResult
-from pipeline.results.variant import VariantResult
+from pipeline.results.case_run import CaseResult
+from pipeline.results.variant_run import VariantResult
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Scene:
     notes: tuple[str, ...] = ()
 
 
-def scene_of(case: Case, result: CampaignResult) -> Scene:
+def scene_of(case: Case, result: CaseResult) -> Scene:
     """Return what a campaign gave; a variant without a frame is left out, with a note."""
     outcomes, notes = {}, list(result.notes)
     for variant in result.variants:

@@ -17,7 +17,7 @@ from pipeline.errors import SolveError
 from pipeline.linear.work import Work
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.problem.problem import Problem, build
-from pipeline.results.variant import determining
+from pipeline.results.variant_run import result_settings
 from pipeline.run.frame import Frame
 from pipeline.run.frames import frames
 
@@ -30,7 +30,7 @@ _BEYOND = 1e3  # body sizes: what has flown so far has no error that is worth a 
 
 def task_settings(case: Case, repeats: int) -> dict[str, Any]:
     """Return the settings of `run_motion` for a resolved case; a mesh file's content is part of them."""
-    settings = {"case": determining(case), "path": str(case.path.resolve()), "repeats": repeats}
+    settings = {"case": result_settings(case), "path": str(case.path.resolve()), "repeats": repeats}
     if case.mesh_path is not None:
         settings["mesh_file"] = _digest(case, case.mesh_path)
     return settings

@@ -11,7 +11,7 @@ from typing import Any
 from pipeline.case import Case
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.netcdf import write_dataset
-from pipeline.results.variant import determining
+from pipeline.results.variant_run import result_settings
 from pipeline.studies.sweep import Point, plain, sweep
 from pipeline.studies.tradeoff.apply_choice import apply
 from pipeline.studies.tradeoff.dataset import dataset
@@ -118,7 +118,7 @@ def _raced(plan: Plan, verdicts: list[AutoVerdict], folder: Path, scheduler: str
     for one in verdicts:
         if one.rival is not None:
             settings = task_settings(point_case(plan, one.setting), 1)
-            settings["rival"] = determining(point_case(plan, one.rival))
+            settings["rival"] = result_settings(point_case(plan, one.rival))
             points[one.setting.key] = Point(f"race-{one.setting.key}", settings)
     found = sweep(_task, list(points.values()), folder, scheduler=scheduler, timed=True)
     ratios = {key: found[point.key].get("ratio") for key, point in points.items()}

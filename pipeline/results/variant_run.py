@@ -20,16 +20,9 @@ from pipeline.problem.methods import linear_solvers
 from pipeline.problem.problem import Problem
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.results.failure import FILE as FAILURE
-from pipeline.results.failure import examined
-from pipeline.results.resume import (
-    CHECKPOINTS,
-    Interrupted,
-    Interruption,
-    continuation,
-    frame_times,
-    mesh_digest,
-    next_frame,
-)
+from pipeline.results.failure import examine_failure
+from pipeline.results.interrupt import Interrupted, InterruptRequest
+from pipeline.results.resume import CHECKPOINTS, digest_mesh, frame_times, next_frame_index, prepare_resume
 from pipeline.run.frame import Frame, Sink
 from pipeline.run.frames import frames
 from pipeline.run.recording import Recording, RunSummary, Watcher, drive
@@ -74,25 +67,25 @@ def read_run(folder: Path) -> dict[str, Any]:
     return run
 
 
-def determining(case: Case) -> dict[str, Any]:
+def result_settings(case: Case) -> dict[str, Any]:
     """Return the part of a case that its results depend on: all but the movie and the checkpoints."""
     document = {key: value for key, value in case.as_dict().items() if key != "movie"}
     document["output"] = {k: v for k, v in document["output"].items() if not k.startswith("checkpoint_")}
     return document
 
 
-def difference(old: dict[str, Any], new: dict[str, Any]) -> str:
+def describe_difference(old: dict[str, Any], new: dict[str, Any]) -> str:
     """Return the first three keys at which two cases differ, with both values."""
-    before, after = _flat(old), _flat(new)
+    before, after = _flatten(old), _flatten(new)
     keys = [key for key in {**before, **after} if before.get(key) != after.get(key)]
     shown = [f"{key}: {shorten(str(before.get(key)))} there, {shorten(str(after.get(key)))} here" for key in keys[:3]]
     return "; ".join(shown) + (f"; and {len(keys) - 3} more" if len(keys) > 3 else "")
 
 
-def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
+def _flatten(value: Any, prefix: str = "") -> dict[str, Any]:
     if not isinstance(value, dict):
         return {prefix: value}
-    return {k: v for key, one in value.items() for k, v in _flat(one, f"{prefix}.{key}" if prefix else key).items()}
+    return {k: v for key, one in value.items() for k, v in _flatten(one, f"{prefix}.{key}" if prefix else key).items()}
 
 
 class VariantRun:
@@ -103,25 +96,25 @@ class VariantRun:
         case: Case,
         problem: Problem,
         folder: Path,
-        asked: Interruption,
+        asked: InterruptRequest,
         writer: WriterProcess,
         notify: Notify | None = None,
     ) -> None:
-        self.case, self.problem, self.folder, self.asked, self.notify = case, problem, folder, asked, notify
+        self.case, self.problem, self.folder, self.interrupt, self.notify = case, problem, folder, asked, notify
         self.writer = writer
         self.name = case.variant_name or ""
         self.checkpoints = CheckpointFolder(folder / CHECKPOINTS, seconds=case.output.checkpoint_seconds)
         self.summary: RunSummary | None = None
 
-    def result(self, *, resume: bool) -> VariantResult:
+    def solve(self, *, resume: bool) -> VariantResult:
         """Return how it ended; a SolveError is a result, kept in run.json, as is an end that comes too early."""
-        run, began = self._opened(resume=resume)
+        run, began = self._open(resume=resume)
         status: Status = "finished"
         try:
             self._record(began)
         except SolveError as error:
             status = "failed"
-            run |= self._failed(error)
+            run |= self._describe_failure(error)
         except (Interrupted, OutputError) as error:
             with suppress(OutputError):  # the disk may be full; "running" can be resumed as well
                 self._close(run | {"message": str(error)}, "interrupted")
@@ -130,25 +123,25 @@ class VariantRun:
         self.checkpoints.remove()
         return VariantResult(self.name, self.folder, status, run)
 
-    def _opened(self, *, resume: bool) -> tuple[dict[str, Any], Checkpoint | None]:
+    def _open(self, *, resume: bool) -> tuple[dict[str, Any], Checkpoint | None]:
         """Return the run.json of a run that begins, and the checkpoint that it goes on from."""
         old = read_run(self.folder) if resume else {}
-        run = _opening(self.case, self.problem)
+        run = _describe_start(self.case, self.problem)
         began = None
         if old.get("status") in UNFINISHED:
-            began, notes = continuation(self.folder, self.problem, self.case.output, title=self._title)
-            run["notes"] += notes + _other_packages(old, run)
+            began, notes = prepare_resume(self.folder, self.problem, self.case.output, title=self._title)
+            run["notes"] += notes + _note_other_packages(old, run)
         if began is None:
-            _clear(self.folder)
+            _clear_folder(self.folder)
         else:
             self.summary = began.summary
             run["resumed_after_steps"] = [*old.get("resumed_after_steps", ()), began.state.step]
         write_whole(self.folder / "case.toml", self.case.to_toml(self.folder))
-        write_whole(self.folder / "run.json", _json(run))
+        write_whole(self.folder / "run.json", _to_json(run))
         return run, began
 
     def _record(self, began: Checkpoint | None) -> None:
-        written = next_frame(began, self.problem) if began else 0
+        written = next_frame_index(began, self.problem) if began else 0
         output, times = self.case.output, frame_times(written, self.problem)
         sinks: list[Sink] = [
             FORMATS[output.format].sink(self.folder, times, output.precision, self.problem.frame_count),
@@ -163,22 +156,22 @@ class VariantRun:
 
         start, begun = (began.state, began.work) if began else (None, None)
         self._last = start or self.problem.start
-        self.asked.solving = True
+        self.interrupt.solving = True
         try:
             # small dense factors gain nothing from BLAS threads, and stall where cores are shared
             with threadpool_limits(limits=1, user_api="blas"):
                 source = frames(self.problem, start, begun=begun, after_step=after_step)
                 drive(source, recording)
         finally:
-            self.asked.solving = False
+            self.interrupt.solving = False
             if recording.summary.frames:
                 self.summary = recording.summary
 
-    def _failed(self, error: SolveError) -> dict[str, Any]:
+    def _describe_failure(self, error: SolveError) -> dict[str, Any]:
         """Return what run.json says of a failure, after the state before it was written to a file of its own."""
         if self.summary is None:  # it could not even start
             return {"message": str(error)}
-        found = examined(self.problem, self._last)
+        found = examine_failure(self.problem, self._last)
         message = found.message(error)
         with suppress(OutputError):  # the frames before it count more than this one
             found.write(self.folder, message)
@@ -193,22 +186,22 @@ class VariantRun:
         """Write a checkpoint where one is due; raises Interrupted where an end was asked for."""
         self._last = state
         frames = self.case.output.checkpoint_frames
-        due = self.checkpoints.due(work.seconds) or (
+        due = self.checkpoints.is_due(work.seconds) or (
             frames and state.step % (frames * self.problem.steps_per_frame) == 0
         )
-        if self.asked.requested or due:
+        if self.interrupt.requested or due:
             writer.drain()  # a checkpoint says that the frames before it are on the disk
             if self.summary is not None:
                 self.checkpoints.write(Checkpoint(state, work, self.summary))
-        if self.asked.requested:
+        if self.interrupt.requested:
             raise Interrupted(
                 f"interrupted after step {state.step} of {self.name}; the same command with --resume goes on from there"
             )
 
     def _close(self, run: dict[str, Any], status: str) -> dict[str, Any]:
         """Return the run.json of a run that ended, and write it."""
-        run = run | {"status": status} | (_closing(self.summary, self.problem) if self.summary else {})
-        write_whole(self.folder / "run.json", _json(run))
+        run = run | {"status": status} | (_describe_end(self.summary, self.problem) if self.summary else {})
+        write_whole(self.folder / "run.json", _to_json(run))
         return run
 
     @property
@@ -216,13 +209,13 @@ class VariantRun:
         return f"{self.case.name}: {self.name}"
 
 
-def _other_packages(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+def _note_other_packages(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
     """Return a note where packages or the machine changed before a run was resumed."""
-    changes = difference(*({"versions": run["versions"], "machine": run["machine"]} for run in (old, new)))
+    changes = describe_difference(*({"versions": run["versions"], "machine": run["machine"]} for run in (old, new)))
     return [f"resumed with other packages or on another machine ({changes}): digits may differ"] if changes else []
 
 
-def _clear(folder: Path) -> None:
+def _clear_folder(folder: Path) -> None:
     """Remove what an earlier run left, and nothing else."""
     try:
         # the record first: without it, what a kill leaves of the rest is cleared again and never resumed
@@ -234,14 +227,14 @@ def _clear(folder: Path) -> None:
         raise OutputError(f"{folder}: cannot be cleared ({error.strerror})") from error
 
 
-def _opening(case: Case, problem: Problem) -> dict[str, Any]:
+def _describe_start(case: Case, problem: Problem) -> dict[str, Any]:
     from importlib.metadata import version
 
     return {
         "name": case.name,
         "variant": case.variant_name,
         "status": "running",
-        "case": determining(case),
+        "case": result_settings(case),
         "notes": [*problem.notes, *([_ROUNDED] if case.output.precision == "float32" else [])],
         "versions": {"pipeline": VERSION, "python": platform.python_version()}
         | {package: version(package) for package in _PACKAGES},
@@ -249,11 +242,11 @@ def _opening(case: Case, problem: Problem) -> dict[str, Any]:
         "linear_solvers": linear_solvers(problem.body, problem.dt, problem.method),
         "cells": len(problem.body.mesh.cells),
         "nodes": len(problem.body.mesh.points),
-        "mesh_digest": mesh_digest(problem.body.mesh),
+        "mesh_digest": digest_mesh(problem.body.mesh),
     }
 
 
-def _closing(summary: RunSummary, problem: Problem) -> dict[str, Any]:
+def _describe_end(summary: RunSummary, problem: Problem) -> dict[str, Any]:
     per_step = summary.seconds_per_step
     counts = {k: getattr(summary.work, k) for k in _COUNTS}
     return {
@@ -278,5 +271,5 @@ def _closing(summary: RunSummary, problem: Problem) -> dict[str, Any]:
     }
 
 
-def _json(run: dict[str, Any]) -> str:
+def _to_json(run: dict[str, Any]) -> str:
     return json.dumps(run, indent=2, allow_nan=False) + "\n"

@@ -8,17 +8,19 @@ from pipeline.case import Case, load_case
 from pipeline.errors import CaseError, SolveError
 from pipeline.formats.atomic import write_whole
 from pipeline.problem.problem import Problem, build, resolve_mass
-from pipeline.results.comparison import DRAWN, compare
-from pipeline.results.disk import check_room
-from pipeline.results.resume import Interrupted, folder_lock, interruptible, mesh_digest
-from pipeline.results.variant import (
+from pipeline.results.comparison import MOVIE_FILES, compare_variants
+from pipeline.results.disk import check_disk_space
+from pipeline.results.interrupt import Interrupted, catch_interrupts
+from pipeline.results.lock import lock_folder
+from pipeline.results.resume import digest_mesh
+from pipeline.results.variant_run import (
     UNFINISHED,
     Notify,
     VariantResult,
     VariantRun,
-    determining,
-    difference,
+    describe_difference,
     read_run,
+    result_settings,
 )
 from pipeline.sinks.frame_formats import ensure_format
 from pipeline.sinks.writer_process import WriterProcess
@@ -26,7 +28,7 @@ from pipeline.system.version import VERSION
 
 
 @dataclass(frozen=True)
-class CampaignResult:
+class CaseResult:
     """All variants asked for, the pictures and datasets made of them, and what there is to say."""
 
     folder: Path
@@ -40,7 +42,7 @@ class CampaignResult:
         return SolveError.exit_code if any(v.status == "failed" for v in self.variants) else 0
 
 
-def run_campaign(
+def run_case(
     case: Case,
     out: Path,
     *,
@@ -51,7 +53,7 @@ def run_campaign(
     notify: Notify | None = None,
     on_start: Callable[[str, Problem], None] | None = None,
     on_drawing: Callable[[int, int], None] | None = None,
-) -> CampaignResult:
+) -> CaseResult:
     """Solve the variants asked for (default: all) into out/<case name>/ and compare every finished one.
 
     `on_start` is told of a variant before its matrices are factored and, once a machine, its kernels compiled.
@@ -65,15 +67,15 @@ def run_campaign(
     problems = {name: build(one) for name, one in resolved.items()}
     for one in resolved.values():
         ensure_format(one.output.format)
-    with folder_lock(folder) as lock, WriterProcess(keep=lock) as writer, interruptible() as asked:
+    with lock_folder(folder) as lock, WriterProcess(keep=lock) as writer, catch_interrupts() as asked:
         todo = [
             name
             for name, one in resolved.items()
             if _must_solve(one, problems[name], folder / name, force=force, resume=resume)
         ]
-        check_room(folder, {name: (problems[name], resolved[name].output) for name in todo})
-        redraw = _another_movie(case, folder)
-        for name in DRAWN if redraw else ():  # before case.toml changes: an interruption leaves no old movie
+        check_disk_space(folder, {name: (problems[name], resolved[name].output) for name in todo})
+        redraw = _is_movie_changed(case, folder)
+        for name in MOVIE_FILES if redraw else ():  # before case.toml changes: an interruption leaves no old movie
             (folder / name).unlink(missing_ok=True)
         write_whole(folder / "case.toml", case.to_toml(folder))
         results = []
@@ -82,17 +84,17 @@ def run_campaign(
                 if on_start is not None:
                     on_start(name, problems[name])
                 solving = VariantRun(one, problems[name], folder / name, asked, writer, notify)
-                results.append(solving.result(resume=resume and not force))
+                results.append(solving.solve(resume=resume and not force))
             else:
                 results.append(VariantResult(name, folder / name, "up to date", read_run(folder / name)))
             if asked.requested:
                 raise Interrupted(f"interrupted after {name}; the same command with --resume goes on from there")
         notes = [note for one in results for note in one.run.get("notes", ())]
-        made, more = compare(case, folder, movie=movie, on_drawing=on_drawing, fresh=bool(todo) or redraw)
-    return CampaignResult(folder, tuple(results), tuple(made), tuple(dict.fromkeys([*notes, *more])))
+        made, more = compare_variants(case, folder, movie=movie, on_drawing=on_drawing, fresh=bool(todo) or redraw)
+    return CaseResult(folder, tuple(results), tuple(made), tuple(dict.fromkeys([*notes, *more])))
 
 
-def _another_movie(case: Case, folder: Path) -> bool:
+def _is_movie_changed(case: Case, folder: Path) -> bool:
     """Return whether the folder's pictures are of another [movie] table, whose title is on the plots too."""
     try:
         return load_case(folder / "case.toml").movie != case.movie
@@ -105,7 +107,7 @@ def _must_solve(case: Case, problem: Problem, folder: Path, *, force: bool, resu
     run = {} if force else read_run(folder)
     if not run:
         return True
-    changes = difference(run.get("case", {}), determining(case))
+    changes = describe_difference(run.get("case", {}), result_settings(case))
     if changes:
         raise CaseError(f"{folder}: holds the result of another case ({changes}); --force replaces it, --out avoids it")
     if run["status"] not in UNFINISHED:
@@ -114,9 +116,9 @@ def _must_solve(case: Case, problem: Problem, folder: Path, *, force: bool, resu
         raise CaseError(
             f"{folder}: an unfinished run of this case; --resume goes on where it stopped, --force starts it again"
         )
-    changes = difference(
+    changes = describe_difference(
         {"pipeline": run["versions"]["pipeline"], "mesh": run.get("mesh_digest")},
-        {"pipeline": VERSION, "mesh": mesh_digest(problem.body.mesh)},
+        {"pipeline": VERSION, "mesh": digest_mesh(problem.body.mesh)},
     )
     if changes:
         raise CaseError(f"{folder}: cannot go on with another version or mesh ({changes}); --force starts it again")

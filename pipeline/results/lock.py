@@ -1,0 +1,92 @@
+"""One run at a time in a result folder."""
+
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from pipeline.errors import CaseError, OutputError
+
+LOCK = ".lock"
+_PATIENCE = 2.0  # [s] the writer process outlives a killed run by a moment
+_STREAMS = 2  # number of the last standard stream: a child process has its own streams there
+
+
+@contextmanager
+def lock_folder(folder: Path) -> Iterator[int]:
+    """Hold the folder against every other run; the system lets go when this process ends, however it does.
+
+    Yields the lock's descriptor: a process that inherits it holds the folder as well.
+
+    Raises CaseError where another run holds it, OutputError where the lock file cannot be made. File systems without
+    locks are not locked.
+    """
+    path = folder / LOCK
+    descriptor = _acquire(path)
+    try:
+        yield descriptor
+    finally:
+        # removed while it is held: who has opened it meanwhile finds that it is no longer the file of that name
+        if _is_open_file(descriptor, path):
+            with suppress(OSError):  # Windows does not remove open files
+                path.unlink()
+        os.close(descriptor)
+
+
+def _acquire(path: Path) -> int:
+    """Return the descriptor of the lock file, locked; who holds it is given a moment to end."""
+    deadline = time.monotonic() + _PATIENCE
+    while True:
+        descriptor = _open_lock_file(path)
+        try:
+            if _try_lock(descriptor, path):
+                return descriptor
+        except CaseError:
+            if time.monotonic() > deadline:
+                os.close(descriptor)
+                raise
+            time.sleep(0.02)
+        os.close(descriptor)
+
+
+def _open_lock_file(path: Path) -> int:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, low = os.open(path, os.O_RDWR | os.O_CREAT, 0o644), []
+    except (FileExistsError, NotADirectoryError) as error:
+        raise OutputError(f"{path}: part of this path is a file, not a folder") from error
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
+    while descriptor <= _STREAMS:
+        low.append(descriptor)
+        descriptor = os.dup(descriptor)
+    for one in low:
+        os.close(one)
+    return descriptor
+
+
+def _try_lock(descriptor: int, path: Path) -> bool:
+    """Return whether the lock is ours and the file still the one of that name; raises CaseError."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError) as error:
+        raise CaseError(f"{path.parent}: another run is writing there; wait for it, or use --out") from error
+    except OSError:  # a file system without locks
+        return True
+    return _is_open_file(descriptor, path)
+
+
+def _is_open_file(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except OSError:
+        return False
