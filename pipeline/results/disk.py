@@ -44,8 +44,8 @@ def check_disk_space(folder: Path, problems: Mapping[str, tuple[Problem, OutputS
         return
     frames = sum(problem.frame_count for problem, _ in problems.values())
     raise OutputError(
-        f"{folder}: {frames} frames of {', '.join(problems)} need about {_format_bytes(needed)}, {_format_bytes(free)} are free "
-        "there; take fewer schedule.frames, fewer variants (--variant), or another disk (--out)"
+        f"{folder}: {frames} frames of {', '.join(problems)} need about {_format_bytes(needed)} and "
+        f"{_format_bytes(free)} are free; use fewer schedule.frames, fewer variants (--variant) or another disk (--out)"
     )
 
 

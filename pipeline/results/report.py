@@ -62,7 +62,8 @@ def _explain_absence(case: Case, folder: Path, name: str) -> str:
     run = read_run(folder / name)
     if not run.get("frames") or run["status"] in UNFINISHED:
         return "it is not finished"
-    return f"its folder has the result of another case ({describe_difference(run['case'], result_settings(case.variant(name)))})"
+    changes = describe_difference(run["case"], result_settings(case.variant(name)))
+    return f"its folder has the result of another case ({changes})"
 
 
 def is_report_current(folder: Path) -> bool:

@@ -271,7 +271,7 @@ def test_another_case_or_version_or_mesh_refuses_to_resume_and_shows_the_differe
         patch.setattr(campaign, "VERSION", "99.0")
         solve(path, tmp_path / "out", resume=True)
     with monkeypatch.context() as patch, pytest.raises(CaseError, match=r"mesh: .* there, changed here"):
-        patch.setattr(campaign, "mesh_digest", lambda mesh: "changed")
+        patch.setattr(campaign, "digest_mesh", lambda mesh: "changed")
         solve(path, tmp_path / "out", resume=True)
     assert json.loads((folder / "run.json").read_text())["status"] == "interrupted"
     assert solve(path, tmp_path / "out", resume=True).variants[0].status == "finished"

@@ -19,9 +19,9 @@ from pipeline.cli import main
 from pipeline.errors import OutputError
 from pipeline.formats.netcdf import read_dataset
 from pipeline.results.analysis_folder import analyze, compare
+from pipeline.results.case_run import run_case
 from pipeline.results.comparison import find_runs
 from pipeline.results.report import write_analysis_report, write_report
-from pipeline.results.case_run import run_case
 from pipeline.series import read_series
 from pipeline.views.html import page as web_page
 from pipeline.views.html import solids as web_solids
