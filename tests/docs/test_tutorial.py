@@ -1,4 +1,4 @@
-"""docs/tutorial.ipynb runs from top to bottom, as a new user would run it, and is kept without outputs."""
+"""docs/tutorial.ipynb runs from top to bottom, as for a new user, and is stored without outputs."""
 
 import shutil
 
@@ -7,12 +7,12 @@ import pytest
 from nbclient import NotebookClient
 
 
-def notebook(project_root):
+def read_notebook(project_root):
     return nbformat.read(project_root / "docs" / "tutorial.ipynb", as_version=4)
 
 
-def test_the_tutorial_is_valid_and_kept_without_outputs(project_root):
-    tutorial = notebook(project_root)
+def test_the_tutorial_is_valid_and_has_no_outputs(project_root):
+    tutorial = read_notebook(project_root)
     nbformat.validate(tutorial)
     code = [cell for cell in tutorial.cells if cell.cell_type == "code"]
     assert code and all(cell.outputs == [] and cell.execution_count is None for cell in code)
@@ -23,9 +23,9 @@ def test_the_tutorial_is_valid_and_kept_without_outputs(project_root):
 def test_the_tutorial_runs_from_top_to_bottom(project_root, tmp_path, installed):
     (tmp_path / "docs").mkdir()
     shutil.copytree(project_root / "cases", tmp_path / "cases")
-    tutorial = notebook(project_root)
-    place = {"metadata": {"path": str(tmp_path / "docs")}}
-    NotebookClient(tutorial, timeout=300, kernel_name="python3", resources=place).execute(env=installed)
+    tutorial = read_notebook(project_root)
+    resources = {"metadata": {"path": str(tmp_path / "docs")}}
+    NotebookClient(tutorial, timeout=300, kernel_name="python3", resources=resources).execute(env=installed)
     outputs = [output for cell in tutorial.cells for output in cell.get("outputs", ())]
     assert [output["text"] for output in outputs if output.get("name") == "stderr"] == []
     pictures = [output for output in outputs if "image/png" in output.get("data", {})]

@@ -1,4 +1,4 @@
-"""Foreign series measured and compared, streamed however long they are."""
+"""Folders of analyze and compare: datasets, figures, notes and memory."""
 
 import tracemalloc
 
@@ -22,7 +22,7 @@ def make_series(folder, times, name="their", grow=lambda t: t):
     return read_series(write_pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(times)]), name=name)
 
 
-def test_an_analysis_is_the_dataset_of_the_series(tmp_path):
+def test_analyze_writes_the_numbers_of_the_series(tmp_path):
     seen = []
     source = write_series(tmp_path)
     result = analyze(source, tmp_path / "out", on_frame=lambda *args: seen.append(args))
@@ -37,7 +37,7 @@ def test_an_analysis_is_the_dataset_of_the_series(tmp_path):
         xarray.testing.assert_equal(dataset, measure_series(read_series(source)))
 
 
-def test_what_not_every_frame_says_is_nan_there(tmp_path, monkeypatch):
+def test_a_number_that_a_frame_lacks_is_nan_there(tmp_path, monkeypatch):
     without_figures(monkeypatch)
     for i, t in enumerate(TIMES):
         grid = make_grid(t)
@@ -49,7 +49,7 @@ def test_what_not_every_frame_says_is_nan_there(tmp_path, monkeypatch):
         np.testing.assert_equal(dataset["kinetic_energy"].values, [2.0, np.nan, 2.0])
 
 
-def test_a_series_that_breaks_off_leaves_nothing_half_written(tmp_path):
+def test_a_failing_analysis_leaves_no_partial_file(tmp_path):
     source = write_series(tmp_path)
     pyvista.UnstructuredGrid({10: CELLS[:-1]}, move_points(0.1)).save(tmp_path / "f1.vtu")
     with pytest.raises(SeriesError, match="topology changes"):
@@ -58,7 +58,7 @@ def test_a_series_that_breaks_off_leaves_nothing_half_written(tmp_path):
 
 
 def test_memory_does_not_grow_with_the_frames(tmp_path, monkeypatch):
-    """Twenty times the frames of the same three files; what Python and numpy hold at the most."""
+    """Compare peaks of Python and numpy with twenty times the frames of the same three files."""
     without_figures(monkeypatch)
     grid = pyvista.ImageData(dimensions=(16, 16, 16)).cast_to_unstructured_grid().triangulate()
     for i, t in enumerate(TIMES):
@@ -67,24 +67,24 @@ def test_memory_does_not_grow_with_the_frames(tmp_path, monkeypatch):
         one.save(tmp_path / f"f{i}.vtu")
     monkeypatch.setattr("pipeline.results.analysis_folder._DRAWN_VALUES", 4 * grid.n_cells)
     peaks = []
-    for count in (4, 4, 80):  # once before: imports and compiled kernels stay
+    for count in (4, 4, 80):  # the first is a warm-up: imports and compiled kernels stay in memory
         source = write_pvd(tmp_path, [(float(k), f"f{k % 3}.vtu") for k in range(count)])
         tracemalloc.start()
         analyze(source, tmp_path / "out")
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    # the ratios of 80 frames alone would be ten of its frames more
+    # the ratios of 80 frames alone would take the memory of ten more frames
     assert peaks[2] < 1.15 * peaks[1], peaks
 
 
-def test_a_long_series_is_drawn_from_some_frames_and_the_worst(tmp_path, monkeypatch):
+def test_figures_of_long_series_show_some_frames_and_the_worst(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.results.analysis_folder._DRAWN_POINTS", 3 * len(CELLS))
     times = [float(t) for t in range(9)]
     result = analyze(make_series(tmp_path / "a", times, grow=lambda t: 1.0 if t == 5 else 0.0), tmp_path / "out")
     assert any("shows 4 of 9 frames, the worst among them" in note for note in result.notes)
 
 
-def test_series_side_by_side(tmp_path):
+def test_compare_joins_the_numbers_of_each_series(tmp_path):
     a = make_series(tmp_path / "a", TIMES, "a")
     b = make_series(tmp_path / "b", TIMES, "a", grow=lambda t: 2 * t)
     result = compare([a, b], tmp_path / "out", difference=True)
@@ -106,7 +106,7 @@ def test_series_side_by_side(tmp_path):
 
 
 def make_swinging_series(folder, times, name, grow, velocity=None):
-    """A series of deformed points with a velocity; nodes that no cell names come first."""
+    """Return a series of deformed points with a velocity, with two nodes without cells in front."""
     folder.mkdir()
     for i, t in enumerate(times):
         grid = pyvista.UnstructuredGrid({10: CELLS + 2}, np.vstack([np.full((2, 3), 9.0), move_points(grow(t))]))
@@ -116,7 +116,7 @@ def make_swinging_series(folder, times, name, grow, velocity=None):
     return read_series(write_pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(times)]), name=name)
 
 
-def test_differences_of_the_nodes(tmp_path):
+def test_differences_of_nodes(tmp_path):
     a = make_swinging_series(tmp_path / "a", TIMES, "a", lambda t: t, lambda t: 1 + t)
     b = make_swinging_series(tmp_path / "b", TIMES, "b", lambda t: t * (0.25 - t) * 30, lambda t: 1 + 3 * t)
     c = make_swinging_series(tmp_path / "c", TIMES, "c", lambda t: 2 * t)
@@ -126,11 +126,11 @@ def test_differences_of_the_nodes(tmp_path):
     far = np.linalg.norm(POINTS, axis=1)
     with xarray.open_dataset(result.files[0]) as dataset:
         assert_conventional(dataset)
-        apart = dataset["displacement_difference"]
-        assert apart.dims == ("variant", "time", "node", "axis") and apart.attrs["units"] == "m"
-        assert (apart[0] == 0).all()
-        assert apart[1, 1].values == pytest.approx(GROWTH * (0.45 - 0.1) * POINTS)
-        assert apart[2].values == pytest.approx(np.stack([GROWTH * t * POINTS for t in TIMES]), abs=1e-14)
+        difference = dataset["displacement_difference"]
+        assert difference.dims == ("variant", "time", "node", "axis") and difference.attrs["units"] == "m"
+        assert (difference[0] == 0).all()
+        assert difference[1, 1].values == pytest.approx(GROWTH * (0.45 - 0.1) * POINTS)
+        assert difference[2].values == pytest.approx(np.stack([GROWTH * t * POINTS for t in TIMES]), abs=1e-14)
         assert dataset["velocity_difference"][1, :, 3, 0].values == pytest.approx([0, 0.2, 0.5])
         assert dataset["velocity_difference"][2].isnull().all()
         worst, rms = dataset["node_distance_worst"], dataset["node_distance_rms"]
@@ -159,7 +159,7 @@ def test_differences_of_nodes_between_frames(tmp_path, monkeypatch):
         assert dataset["velocity_difference"][1, :, 0, 0].values == pytest.approx([0, 0.3 - 0.3**2, 0.9 - chord])
 
 
-def test_other_times_are_interpolated_and_that_is_said(tmp_path, monkeypatch):
+def test_different_times_are_interpolated_with_a_note(tmp_path, monkeypatch):
     without_figures(monkeypatch)
     a = make_series(tmp_path / "a", [0.0, 1.0, 2.0], "a")
     b = make_series(tmp_path / "b", [0.0, 0.5, 1.5, 2.5], "b")
@@ -175,7 +175,7 @@ def test_other_times_are_interpolated_and_that_is_said(tmp_path, monkeypatch):
         compare([a, late], tmp_path / "out2")
 
 
-def test_other_cells_are_compared_as_whole_bodies(tmp_path, monkeypatch):
+def test_different_cells_are_compared_as_whole_bodies(tmp_path, monkeypatch):
     without_figures(monkeypatch)
     a = make_series(tmp_path / "a", TIMES, "a")
     (tmp_path / "b").mkdir()

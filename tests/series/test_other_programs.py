@@ -1,4 +1,4 @@
-"""Series of other solvers as they come, and long ones: the numbers are theirs, memory is that of a few frames."""
+"""Unchanged results of other solvers, and long series: the same numbers, the memory of a few frames."""
 
 import resource
 import tracemalloc
@@ -22,7 +22,7 @@ from tests.series.test_series import CELLS, POINTS, TIMES, make_grid, move_point
 
 
 def write_felupe_result(folder: Path) -> Path:
-    """A cube of neo-Hookean tetrahedra pulled by 30 % in five steps, as felupe writes it."""
+    """Return a file of felupe: a cube of neo-Hookean tetrahedra, pulled by 30 % in five steps."""
     import felupe
 
     region = felupe.RegionTetra(felupe.Cube(n=3).triangulate())
@@ -36,7 +36,7 @@ def write_felupe_result(folder: Path) -> Path:
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_felupe_s_own_deformation_gradients_say_what_we_measure(tmp_path, monkeypatch):
+def test_volume_ratios_are_the_determinants_of_felupes_deformation_gradients(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # meshio writes the .h5 here
     series = read_series(write_felupe_result(tmp_path))
     assert len(series) == 5 and any("Displacement is taken" in note for note in series.notes)
@@ -48,7 +48,7 @@ def test_felupe_s_own_deformation_gradients_say_what_we_measure(tmp_path, monkey
     assert dataset.deformation.worst().time == dataset["time"].values[-1]
 
 
-def test_fields_of_cells_that_are_no_numbers_pass_through_and_disturb_nothing(tmp_path):
+def test_cell_fields_that_are_not_finite_pass_through(tmp_path):
     for i, t in enumerate(TIMES):
         grid = make_grid(t)
         grid.cell_data["stress"] = np.where(np.arange(len(CELLS)) == 7, np.nan, t)
@@ -74,7 +74,7 @@ def test_one_flat_cell_at_rest_is_named(tmp_path, capfd):
     assert capfd.readouterr().err.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
-def test_a_frame_that_cannot_be_read_on_the_way_leaves_nothing(tmp_path, capfd):
+def test_a_frame_that_cannot_be_read_leaves_no_file(tmp_path, capfd):
     path = write_series(tmp_path)
     text = (tmp_path / "f1.vtu").read_text()
     (tmp_path / "f1.vtu").write_text(text.replace('Name="connectivity"', 'Name="nothing"'))
@@ -89,13 +89,14 @@ FRAMES = 60  # 2 000 by hand: docs/reliability.md
 GRID = (18, 52, 18)  # 101 088 tetrahedra
 
 
-def resident_bytes(process: int | str = "self") -> int:
-    return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * resource.getpagesize()
+def measure_memory() -> int:
+    """Return the resident memory of this process [bytes]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 @pytest.mark.slow
-def test_an_index_of_many_large_frames_takes_the_memory_of_a_few(tmp_path, monkeypatch):
-    """The same three files over and over; what is kept of a frame would show in the sum."""
+def test_many_large_frames_need_the_memory_of_a_few(tmp_path, monkeypatch):
+    """Read the same three files over and over; memory kept per frame would add up."""
     without_figures(monkeypatch)
     mesh = box((4.0, 12.0, 4.0), GRID)
     for i in range(3):
@@ -103,19 +104,15 @@ def test_an_index_of_many_large_frames_takes_the_memory_of_a_few(tmp_path, monke
         meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(points, [("tetra", mesh.cells)]), compression=None)
     path = write_pvd(tmp_path, [(float(k), f"f{k % 3}.vtu") for k in range(FRAMES)])
     series = read_series(path)
-    taken = []
-
-    def look(name, done, total):
-        taken.append(resident_bytes())
-
-    found = analyze(series, tmp_path / "out", on_frame=look)
-    assert found.frames == FRAMES and found.worst_volume_ratio == pytest.approx(1.02**3)
-    one = mesh.points.nbytes + mesh.cells.nbytes
-    # were frames kept, each would leave its points and cells; the heap settles in the first 20
-    assert max(taken[20:]) - taken[19] < 0.2 * (FRAMES - 20) * one
+    memory = []
+    analysis = analyze(series, tmp_path / "out", on_frame=lambda *_: memory.append(measure_memory()))
+    assert analysis.frames == FRAMES and analysis.worst_volume_ratio == pytest.approx(1.02**3)
+    frame_bytes = mesh.points.nbytes + mesh.cells.nbytes
+    # a kept frame would leave its points and cells; the heap settles in the first 20
+    assert max(memory[20:]) - memory[19] < 0.2 * (FRAMES - 20) * frame_bytes
 
 
-def test_the_index_itself_is_small(tmp_path):
+def test_a_series_without_frames_in_memory_is_small(tmp_path):
     write_series(tmp_path)
     path = write_pvd(tmp_path, [(float(k), f"f{k % 3}.vtu") for k in range(20_000)])
     tracemalloc.start()
@@ -126,4 +123,4 @@ def test_the_index_itself_is_small(tmp_path):
         tracemalloc.stop()
     assert len(series) == 20_000 and series.times[-1] == 19_999.0
     assert np.array_equal(series.read_frame(4).x, move_points(TIMES[1]))
-    assert size < 20_000 * 1000  # bytes an entry: a time, and a path
+    assert size < 20_000 * 1000  # bytes per frame: a time and a path

@@ -1,4 +1,4 @@
-"""Series that other programs wrote: every format, what is found out about them, and what is refused."""
+"""Series written by other programs: every format, the guesses about them, and the refusals."""
 
 import json
 import pickle
@@ -17,13 +17,14 @@ import xarray
 from pipeline.errors import SeriesError
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.measures import measure
-from pipeline.series import Series, read_series
+from pipeline.series import read_series
 from pipeline.series import xarray_plugin as engine
 from pipeline.series.dataset_writer import write_pvd_series
+from pipeline.series.frame_files import read_grid
 from tests.bodies import assert_conventional
 
 TIMES = [0.0, 0.1, 0.25]
-GROWTH = 0.5  # of every length, a second: the volume ratio is (1 + t / 2)^3
+GROWTH = 0.5  # of every length per second: the volume ratio is (1 + t / 2)^3
 
 
 def unit_mesh() -> tuple[np.ndarray, np.ndarray]:
@@ -74,7 +75,7 @@ def assert_grows(series, *, rtol=1e-12, times=TIMES):
 
 
 @pytest.mark.parametrize("style", ["ascii", "zlib", "lz4", "big-endian", "raw appended", "float32", "int32 ids"])
-def test_vtk_writes_vtu_in_many_ways(tmp_path, style):
+def test_read_every_encoding_of_vtu_that_vtk_writes(tmp_path, style):
     for i, t in enumerate(TIMES):
         grid = make_grid(t, points=move_points(t).astype(np.float32) if style == "float32" else None)
         writer = vtk.vtkXMLUnstructuredGridWriter()
@@ -99,7 +100,7 @@ def test_vtk_writes_vtu_in_many_ways(tmp_path, style):
 
 @pytest.mark.parametrize("suffix", ["vtu", "vtk"])
 @pytest.mark.parametrize("binary", [True, False])
-def test_meshio_writes_numbered_files(tmp_path, suffix, binary):
+def test_read_numbered_files_of_meshio(tmp_path, suffix, binary):
     for i, t in enumerate(TIMES):
         mesh = meshio.Mesh(move_points(t), [("tetra", CELLS)])
         meshio.write(tmp_path / f"beam_{i}.{suffix}", mesh, binary=binary)
@@ -108,7 +109,7 @@ def test_meshio_writes_numbered_files(tmp_path, suffix, binary):
     assert measure(series.read_frame(2))["volume_ratio"] == pytest.approx((1 + GROWTH * TIMES[2]) ** 3)
 
 
-def test_numbers_are_in_natural_order_and_times_come_from_the_files(tmp_path):
+def test_numbers_sort_naturally_and_times_come_from_the_files(tmp_path):
     for i in range(12):
         grid = make_grid(i / 4)
         grid.field_data["TimeValue"] = [i / 4]
@@ -116,7 +117,7 @@ def test_numbers_are_in_natural_order_and_times_come_from_the_files(tmp_path):
     assert_grows(read_series(tmp_path), times=[i / 4 for i in range(12)])
 
 
-def test_legacy_files_with_time_values(tmp_path):
+def test_read_legacy_files_with_time_values(tmp_path):
     for i, t in enumerate(TIMES):
         grid = make_grid(t)
         grid.field_data["TimeValue"] = [t]
@@ -124,7 +125,7 @@ def test_legacy_files_with_time_values(tmp_path):
     assert_grows(read_series(tmp_path))
 
 
-def test_the_json_index(tmp_path):
+def test_read_a_json_index(tmp_path):
     write_series(tmp_path)
     index = tmp_path / "their.vtu.series"
     files = [{"name": f"f{i}.vtu", "time": t} for i, t in enumerate(TIMES)]
@@ -132,7 +133,7 @@ def test_the_json_index(tmp_path):
     assert_grows(read_series(index))
 
 
-def test_pieces_of_a_pvtu_are_one_frame(tmp_path):
+def test_pieces_of_a_pvtu_form_one_frame(tmp_path):
     for i, t in enumerate(TIMES):
         writer = vtk.vtkXMLPUnstructuredGridWriter()
         writer.SetFileName(str(tmp_path / f"p{i}.pvtu"))
@@ -151,7 +152,7 @@ def test_pieces_of_a_pvtu_are_one_frame(tmp_path):
     assert len(read_series(tmp_path / "p*.pvtu")) == 3
 
 
-def test_temporal_vtkhdf(tmp_path):
+def test_read_temporal_vtkhdf(tmp_path):
     path = tmp_path / "steps.vtkhdf"
     write_vtkhdf(path)
     assert_grows(read_series(path))
@@ -196,13 +197,13 @@ def write_xdmf(path, data_format="XML"):
     return path
 
 
-def test_xdmf_time_series(tmp_path):
+def test_read_xdmf(tmp_path):
     series = read_series(write_xdmf(tmp_path / "a.xdmf"))
     assert_grows(series)
     assert any("field u is taken" in note for note in series.notes)
 
 
-def test_xdmf_with_hdf5_says_what_to_install(tmp_path, in_process, monkeypatch):
+def test_xdmf_with_hdf5_names_the_missing_package(tmp_path, in_process, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)  # as if it were not installed
     path = write_xdmf(tmp_path / "a.xdmf")
     text = path.read_text().replace('Format="XML"', 'Format="HDF"')
@@ -211,7 +212,7 @@ def test_xdmf_with_hdf5_says_what_to_install(tmp_path, in_process, monkeypatch):
         read_series(path)
 
 
-def test_triangles_in_the_plane(tmp_path):
+def test_triangles_in_a_plane_are_two_dimensional(tmp_path):
     points, cells = np.array([[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1.0]]), np.array([[0, 1, 2], [0, 2, 3]])
     for i, t in enumerate(TIMES):
         meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(points * [1 + t, 1, 1], [("triangle", cells)]))
@@ -220,10 +221,10 @@ def test_triangles_in_the_plane(tmp_path):
     assert measure(series.read_frame(1))["volume_ratio"] == pytest.approx([1.1, 1.1])
 
 
-# What is found out
+# Guesses
 
 
-def test_rest_points_and_a_displacement_field(tmp_path):
+def test_a_displacement_field_is_added_to_points_that_do_not_move(tmp_path):
     path = write_series(tmp_path, field="Displacement")
     series = read_series(path)
     assert_grows(series)
@@ -233,7 +234,7 @@ def test_rest_points_and_a_displacement_field(tmp_path):
     assert measure(still.read_frame(2))["volume_ratio"] == pytest.approx(1.0)
 
 
-def test_points_that_move_between_the_frames_looked_at_are_not_moved_twice(tmp_path):
+def test_points_that_move_only_between_the_inspected_frames_are_an_error(tmp_path):
     times = [0.0, 1.0, 2.0, 3.0, 4.0]
     for i in range(5):
         grid = make_grid(i % 2)
@@ -246,7 +247,7 @@ def test_points_that_move_between_the_frames_looked_at_are_not_moved_twice(tmp_p
     assert ratios == pytest.approx([1, 1.5**3, 1, 1.5**3, 1])
 
 
-def test_an_ambiguous_displacement_is_asked_for(tmp_path):
+def test_an_ambiguous_displacement_must_be_named(tmp_path):
     for i, t in enumerate(TIMES):
         grid = make_grid(t, field="u_h")
         grid.point_data["strange"] = move_points(t)
@@ -260,7 +261,7 @@ def test_an_ambiguous_displacement_is_asked_for(tmp_path):
         read_series(path, displacement="w")
 
 
-def test_where_the_rest_state_comes_from(tmp_path):
+def test_sources_of_the_rest_state(tmp_path):
     rest = tmp_path / "rest.vtu"
     make_grid(0).save(rest)
     for i, t in enumerate(TIMES[1:]):
@@ -280,7 +281,7 @@ def test_where_the_rest_state_comes_from(tmp_path):
         read_series(path, rest="nonsense")
 
 
-def test_mixed_cells_simplices_are_measured_and_the_rest_counted(tmp_path):
+def test_among_mixed_cells_simplices_are_measured_and_others_counted(tmp_path):
     hexahedron = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1.0]])
     cells = [("hexahedron", [range(len(POINTS), len(POINTS) + 8)]), ("tetra", CELLS), ("triangle", [[0, 1, 2]])]
     for i, t in enumerate(TIMES):
@@ -295,7 +296,7 @@ def test_mixed_cells_simplices_are_measured_and_the_rest_counted(tmp_path):
         read_series(tmp_path / "their.pvd")
 
 
-def test_our_own_files_need_one_look(tmp_path, monkeypatch):
+def test_rest_position_settles_every_guess(tmp_path, monkeypatch):
     for i, t in enumerate(TIMES):
         grid = make_grid(t)
         grid.point_data["rest_position"] = POINTS
@@ -307,12 +308,12 @@ def test_our_own_files_need_one_look(tmp_path, monkeypatch):
     assert_grows(series)
 
 
-# What is damaged
+# Damage
 
 
 @pytest.mark.parametrize("suffix", ["vtu", "vtk"])
 @pytest.mark.parametrize("damage", ["missing", "empty", 0.2, 0.5, 0.97])
-def test_a_frame_that_is_not_there_is_left_out_and_told(tmp_path, suffix, damage, vtk_errors):
+def test_a_damaged_frame_is_left_out_with_a_note(tmp_path, suffix, damage, vtk_errors):
     for i, t in enumerate(TIMES):
         make_grid(t, numbers=True).save(tmp_path / f"f{i}.{suffix}")
     path = write_pvd(tmp_path, [(t, f"f{i}.{suffix}") for i, t in enumerate(TIMES)])
@@ -330,7 +331,7 @@ def test_a_frame_that_is_not_there_is_left_out_and_told(tmp_path, suffix, damage
     vtk_errors.clear()
 
 
-def test_times_out_of_order_and_twice(tmp_path):
+def test_times_are_sorted_and_repeated_ones_left_out(tmp_path):
     write_series(tmp_path)
     order = [2, 0, 1]
     series = read_series(write_pvd(tmp_path, [(TIMES[i], f"f{i}.vtu") for i in order]))
@@ -341,7 +342,7 @@ def test_times_out_of_order_and_twice(tmp_path):
     assert "1 frames have the time of a later one" in series.notes[0]
 
 
-def test_topology_that_changes_points_that_are_no_numbers_and_flat_cells(tmp_path):
+def test_changing_topology_points_that_are_not_finite_and_flat_cells_are_errors(tmp_path):
     path = write_series(tmp_path)
     pyvista.UnstructuredGrid({10: CELLS[:-1]}, move_points(0.1)).save(tmp_path / "f1.vtu")
     with pytest.raises(SeriesError, match="topology changes"):
@@ -358,20 +359,20 @@ def test_topology_that_changes_points_that_are_no_numbers_and_flat_cells(tmp_pat
         read_series(path)
 
 
-def test_a_surface_is_refused(tmp_path):
+def test_a_surface_is_an_error(tmp_path):
     pyvista.Sphere(theta_resolution=8, phi_resolution=8).cast_to_unstructured_grid().save(tmp_path / "f0.vtu")
     with pytest.raises(SeriesError, match="are a surface"):
         read_series(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"files": [{"name": "a.vtu"}]}'])
-def test_an_index_that_is_none(tmp_path, text):
+def test_a_file_that_is_not_an_index_is_an_error(tmp_path, text):
     (tmp_path / "a.vtu.series").write_text(text)
     with pytest.raises(SeriesError, match="not a ParaView index"):
         read_series(tmp_path / "a.vtu.series")
 
 
-def test_several_series_in_one_folder_have_to_be_named(tmp_path):
+def test_several_series_in_one_folder_need_a_pattern(tmp_path):
     for name in ("a_0", "a_1", "b_0"):
         make_grid(0).save(tmp_path / f"{name}.vtu")
     with pytest.raises(SeriesError, match=r"a_\*.vtu \(2\), b_\*.vtu \(1\)"):
@@ -382,8 +383,31 @@ def test_several_series_in_one_folder_have_to_be_named(tmp_path):
         read_series(tmp_path / "empty")
 
 
-def test_the_mesh_is_an_ordinary_one(tmp_path):
-    assert isinstance(read_series(write_series(tmp_path)).mesh, Mesh)
+def test_a_series_describes_itself_in_one_line(tmp_path):
+    path = write_series(tmp_path)
+    (tmp_path / "f1.vtu").unlink()
+    series = read_series(path, name="<their>")
+    assert isinstance(series.mesh, Mesh)
+    assert repr(series) == f"<Series <their>: 2 frames, t = 0 to 0.25 s, {len(CELLS)} cells in 3D>"
+    html = series._repr_html_()
+    assert html.startswith("<b>&lt;their&gt;</b>: 2 frames") and "f1.vtu" in html and len(html) < 500
+
+
+def test_a_part_of_a_series_keeps_the_layout(tmp_path):
+    series = read_series(write_series(tmp_path))
+    part = series.select_frames([1, 2])
+    assert part.mesh is series.mesh and part.times == tuple(TIMES[1:])
+    assert np.array_equal(part.read_frame(0).x, move_points(TIMES[1]))
+
+
+def test_paths_are_text_or_path_like(tmp_path):
+    class Place:
+        def __fspath__(self):
+            return str(path)
+
+    path = write_series(tmp_path)
+    assert len(read_series(Place())) == len(read_series(str(path))) == len(read_series(path)) == 3
+    assert open_lazily(Place()).sizes["time"] == 3
 
 
 # xarray
@@ -406,12 +430,17 @@ def write_fields(folder):
     return write_pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
 
 
-def test_a_series_is_a_lazy_dataset(tmp_path, monkeypatch):
+def test_a_dataset_reads_frames_when_values_are_needed(tmp_path, monkeypatch):
     path = write_fields(tmp_path)
     read = []
-    original = Series.read_grid
-    monkeypatch.setattr(Series, "read_grid", lambda self, i: read.append(i) or original(self, i))
+
+    def count(file, *args, **options):
+        read.append(file.name)
+        return read_grid(file, *args, **options)
+
+    monkeypatch.setattr("pipeline.series.series.read_grid", count)
     dataset = open_lazily(path)
+    assert read == ["f0.vtu", "f1.vtu"]  # the first frame once, and the middle one: its points have moved
     read.clear()
     assert dict(dataset.sizes) == {
         "time": 3, "node": len(POINTS), "cell": len(CELLS), "axis": 3, "corner": 4, "stress_component": 6
@@ -423,7 +452,7 @@ def test_a_series_is_a_lazy_dataset(tmp_path, monkeypatch):
     one = dataset.isel(time=1)
     assert one["displacement"].values == pytest.approx(move_points(0.1) - POINTS)
     assert one["velocity"].values == pytest.approx(GROWTH * POINTS)
-    assert read == [1]
+    assert read == ["f1.vtu"]
     assert dataset["temperature"][:, 3].values == pytest.approx([3, 3.1, 3.25])
     assert dataset["stress"][::2, [1, 0], 2].values.tolist() == [[0, 0], [0.25, 0.25]]
     assert dataset["temperature"].isel(time=[2, 0], node=slice(2)).values == pytest.approx(
@@ -434,12 +463,12 @@ def test_a_series_is_a_lazy_dataset(tmp_path, monkeypatch):
     assert_conventional(dataset.drop_vars(["temperature", "stress", "part"]))
 
 
-def test_a_dataset_travels_to_another_process(tmp_path):
+def test_a_dataset_can_be_pickled(tmp_path):
     dataset = open_lazily(write_fields(tmp_path))
     xarray.testing.assert_identical(pickle.loads(pickle.dumps(dataset)), dataset)
 
 
-def test_dask_gets_a_chunk_a_frame(tmp_path):
+def test_dask_gets_one_chunk_per_frame(tmp_path):
     pytest.importorskip("dask")
     dataset = open_lazily(write_fields(tmp_path), chunks={})
     assert dataset["displacement"].chunks == ((1, 1, 1), (len(POINTS),), (3,))
@@ -448,13 +477,13 @@ def test_dask_gets_a_chunk_a_frame(tmp_path):
     )
 
 
-def test_xdmf_with_hdf5(tmp_path, monkeypatch):
+def test_read_xdmf_with_hdf5(tmp_path, monkeypatch):
     pytest.importorskip("h5py")
     monkeypatch.chdir(tmp_path)  # meshio writes the other file here
     assert_grows(read_series(write_xdmf(tmp_path / "a.xdmf", "HDF")))
 
 
-def test_the_accessor_measures(tmp_path):
+def test_the_accessor_measures_as_the_package_does(tmp_path):
     dataset = open_lazily(write_fields(tmp_path))
     ratio = dataset.deformation.volume_ratio()
     assert ratio.dims == ("time", "cell") and ratio.attrs["units"] == "1"
@@ -471,11 +500,11 @@ def test_the_accessor_measures(tmp_path):
         dataset.drop_vars("connectivity").deformation.worst()
 
 
-def test_a_dataset_written_and_read_is_the_same(tmp_path):
+def test_a_dataset_survives_writing_and_reading(tmp_path):
     dataset = open_lazily(write_fields(tmp_path))
     dataset["temperature"].attrs["units"] = "K"
     dataset["volume_ratio"] = dataset.deformation.volume_ratio()
-    dataset.attrs["history"] = "told"
+    dataset.attrs["history"] = "measured"
     path = write_pvd_series(dataset, tmp_path / "again.pvd")
     again = open_lazily(path)
     xarray.testing.assert_identical(again, dataset)
@@ -487,7 +516,7 @@ def test_a_dataset_written_and_read_is_the_same(tmp_path):
         write_pvd_series(dataset.assign(mean=dataset["velocity"].mean("time")), tmp_path / "no.pvd")
 
 
-def test_a_planar_dataset_too(tmp_path):
+def test_a_planar_dataset_survives_writing_and_reading(tmp_path):
     points, cells = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]])
     for i, t in enumerate(TIMES):
         meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(points * [1 + t, 1, 1], [("triangle", cells)]))
@@ -496,15 +525,15 @@ def test_a_planar_dataset_too(tmp_path):
     xarray.testing.assert_identical(open_lazily(write_pvd_series(dataset, tmp_path / "a" / "p.pvd")), dataset)
 
 
-def test_xarray_finds_the_engine_by_itself(tmp_path, installed):
+def test_xarray_finds_the_engine(tmp_path, installed):
     path = write_fields(tmp_path)
     code = f"import xarray; ds = xarray.open_dataset({str(path)!r}); print(ds.deformation.worst().time)"
     run = subprocess.run([sys.executable, "-c", code], env=installed, capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["0.25"]
 
 
-def test_the_lines_of_the_docs_run(tmp_path, installed, project_root):
-    """Every python block of docs/analysis.md, one after the other, on a series of three frames."""
+def test_the_code_in_the_docs_runs(tmp_path, installed, project_root):
+    """Run every python block of docs/analysis.md in order, on a series of three frames."""
     page = project_root / "docs" / "analysis.md"
     shutil.copy(write_fields(tmp_path), tmp_path / "series.pvd")
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.S)
