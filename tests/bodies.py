@@ -16,8 +16,9 @@ from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports, rotation_about
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
-from pipeline.problem.methods import LAWS, MASSES, ROTATIONS, STEPPERS
+from pipeline.problem.methods import LAWS, MASSES, ROTATIONS
 from pipeline.problem.problem import Problem, build
+from pipeline.problem.stage_solvers import make_stepper
 from pipeline.stepping.state import State, Stepper
 
 MATERIAL = Material(1e8, 0.33, 1000.0)  # of the thesis' bar
@@ -49,7 +50,9 @@ def solid(
 ) -> Body:
     nodes = np.array(list(held), dtype=np.int64)
     force = np.zeros_like(mesh.points) if load is None else load
-    return make_body(mesh, LAWS[law](material, ROTATIONS[rotation]), Supports(nodes), force, MASSES[mass])
+    return make_body(
+        mesh, LAWS[law].make(material, ROTATIONS[rotation].make), Supports(nodes), force, MASSES[mass].make
+    )
 
 
 def clamped_bar(**keywords: object) -> Body:
@@ -60,7 +63,7 @@ def clamped_bar(**keywords: object) -> Body:
 def stepper(body: Body, dt: float, **method: object) -> Stepper:
     """Backward Euler, unless `stepper` among the method's keys names another."""
     spec = MethodSpec(**method)  # type: ignore[arg-type]  # pydantic checks them
-    return STEPPERS[spec.stepper](body, dt, spec)
+    return make_stepper(body, dt, spec)
 
 
 def motion(body: Body, dt: float, steps: int, v: np.ndarray, x: np.ndarray | None = None, **method) -> list[State]:

@@ -166,8 +166,8 @@ def _reproduce(options: argparse.Namespace) -> int:
 
 
 def _methods(options: argparse.Namespace) -> int:
-    from pipeline.problem.methods import DESCRIPTIONS
+    from pipeline.problem.methods import describe_choices
 
-    for key, rows in DESCRIPTIONS.items():
+    for key, rows in describe_choices().items():
         print(key, *(f"{name:<18} {text}" for name, text in rows.items()), sep="\n  ")
     return 0

@@ -9,8 +9,6 @@ class Work:
 
     Who is returned one may count on in it.
 
-    `rung` and `indicator` say which model the most demanding step needed, and its spurious volume (fidelity.py).
-    `history` has these two and the solves of each step of model = "auto", for as long as someone asks.
     `iterations` counts the linear systems' right-hand sides posed (Newton iterations), `solves` the systems solved for
     them, `linear_iterations` what iterative solvers took for it; `seconds` is solving alone, without measuring or
     writing.
@@ -23,9 +21,6 @@ class Work:
     linear_iterations: int = 0
     rotations: int = 0
     seconds: float = 0.0
-    rung: int = 0
-    indicator: float = 0.0
-    history: tuple[tuple[int, int, float], ...] = ()
 
     def __add__(self, other: "Work") -> "Work":
         # written out: it is called several times a step, and small bodies take a tenth of a millisecond a step
@@ -37,7 +32,4 @@ class Work:
             self.linear_iterations + other.linear_iterations,
             self.rotations + other.rotations,
             self.seconds + other.seconds,
-            self.rung if self.rung >= other.rung else other.rung,
-            self.indicator if self.indicator >= other.indicator else other.indicator,
-            self.history + other.history,
         )

@@ -8,13 +8,24 @@ from pipeline.case import Case, MethodSpec
 from pipeline.errors import MeshError, join_names, quote_value
 from pipeline.fem.body import Body
 from pipeline.fem.compiled_body import make_body
-from pipeline.fem.laws import Corotational
+from pipeline.fem.laws import Corotational, Law
 from pipeline.fem.material import Material
 from pipeline.linear.pardiso import library
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.simplex import Mesh, component_labels
 from pipeline.problem.conditions import dead_load, initial_state, python_value, supports, varying_load
-from pipeline.problem.methods import INVERSIONS, LAWS, LINEAR_SOLVERS, MASSES, ROTATIONS, SHAPES, STEP_LIMITS, STEPPERS
+from pipeline.problem.methods import (
+    INVERSIONS,
+    LAWS,
+    LINEAR_SOLVERS,
+    MASSES,
+    ROTATIONS,
+    SHAPES,
+    STEP_LIMITS,
+    STEPPERS,
+    find_traits,
+)
+from pipeline.problem.stage_solvers import make_stepper
 from pipeline.stepping.state import State, Stepper
 
 
@@ -43,7 +54,7 @@ class Problem:
 
     def prepare(self) -> Stepper:
         """Return the stepper, ready to step: matrices factored, limits checked."""
-        return STEPPERS[self.method.stepper](self.body, self.dt, self.method)
+        return make_stepper(self.body, self.dt, self.method)
 
 
 def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
@@ -61,11 +72,7 @@ def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
     _check_method(case)
     mesh_notes: list[str] = []
     mesh = build_mesh(case, note=mesh_notes.append) if mesh is None else mesh
-    m = case.material
-    material = Material(m.youngs_modulus, m.poisson_ratio, m.density)
-    auto = case.method.model == "auto"
-    law = Corotational(material) if auto else LAWS[case.method.law](material, ROTATIONS[case.method.rotation])
-    mass = MASSES[case.method.mass]
+    law, mass = _make_law(case), MASSES[case.method.mass].make
     body = make_body(mesh, law, supports(case, mesh), dead_load(case, mesh), mass, varying_load(case, mesh))
     if not body.free.size:
         raise case.make_error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
@@ -74,6 +81,14 @@ def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
     start = initial_state(case, body)
     name = f"{case.name}/{case.variant_name}"
     return Problem(name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, _notes(case, mesh, mesh_notes))
+
+
+def _make_law(case: Case) -> Law:
+    m, method = case.material, case.method
+    material = Material(m.youngs_modulus, m.poisson_ratio, m.density)
+    if find_traits(method).chooses_model:
+        return Corotational(material)
+    return LAWS[method.law].make(material, ROTATIONS[method.rotation].make)
 
 
 def build_mesh(case: Case, *, note: Callable[[str], object] | None = None) -> Mesh:
@@ -87,7 +102,7 @@ def build_mesh(case: Case, *, note: Callable[[str], object] | None = None) -> Me
             assert case.mesh_path is not None
             return read_mesh(case.mesh_path, spec.scale, note=note)
         assert spec.size is not None and spec.cells is not None
-        return SHAPES[_chosen(case, "mesh.shape", spec.shape, SHAPES)](spec.size, spec.cells, spec.split)
+        return SHAPES[_chosen(case, "mesh.shape", spec.shape, SHAPES)].make(spec.size, spec.cells, spec.split)
     except MeshError as error:
         raise case.make_error("mesh", str(error)) from error
 
@@ -112,24 +127,25 @@ def _check_method(case: Case) -> None:
         "law": LAWS,
         "rotation": ROTATIONS,
         "stepper": STEPPERS,
-        "linear_solver": {"auto": None, **LINEAR_SOLVERS},
+        "linear_solver": LINEAR_SOLVERS,
         "mass": MASSES,
         "inversion": INVERSIONS,
     }
     for key, table in tables.items():
         _chosen(case, f"method.{key}", getattr(method, key), table)
-    if method.model == "auto":
-        if method.stepper in STEP_LIMITS or method.inversion != "flip":
-            raise case.make_error("method.model", "'auto' goes with implicit steppers and inversion = 'flip'")
+    traits = find_traits(method)
+    has_treatment = INVERSIONS[method.inversion].make is not None
+    if traits.chooses_model:
+        if traits.is_explicit or has_treatment:
+            goes_with = "implicit steppers and inversion = 'flip'"
+            raise case.make_error("method.model", f"{method.model!r} goes with {goes_with}")
         return
-    if INVERSIONS[method.inversion] is not None and (
-        method.law == "linear" or method.rotation != "polar" or method.iterations != 1
-    ):
+    if has_treatment and (traits.is_linear or method.rotation != "polar" or method.iterations != 1):
         needed = "the corotational law with polar rotations and iterations = 1"
         raise case.make_error("method.inversion", f"{method.inversion!r} has a memory: it goes with {needed}")
-    if method.law == "linear" or method.stepper in STEP_LIMITS:
+    if traits.is_linear or traits.is_explicit:
         return
-    if method.iterations == "converged" and method.rotation != "polar":
+    if traits.is_converged and method.rotation != "polar":
         raise case.make_error(
             "method.iterations", f"'converged' needs a potential, which {method.rotation} has not; use polar"
         )
@@ -161,11 +177,12 @@ def _chosen(case: Case, key: str, name: str, table: Mapping[str, Any]) -> str:
 def _notes(case: Case, mesh: Mesh, mesh_notes: Sequence[str]) -> tuple[str, ...]:
     notes = [*case.notes, *mesh_notes]
     unused = [key for key in ("law", "rotation", "iterations") if f"method.{key}" in case.own_keys]
-    if case.method.model == "auto" and unused:
-        notes.append(f"method.{', method.'.join(unused)} not used: method.model = 'auto' decides")
-    if case.method.law == "linear" and "method.rotation" in case.own_keys:
+    traits = find_traits(case.method)
+    if traits.chooses_model and unused:
+        notes.append(f"method.{', method.'.join(unused)} not used: method.model = {case.method.model!r} decides")
+    if LAWS[case.method.law].is_linear and "method.rotation" in case.own_keys:
         notes.append("method.rotation is not used by the linear law")
-    if case.method.linear_solver == "pardiso" and case.method.stepper not in STEP_LIMITS and library() is None:
+    if case.method.linear_solver == "pardiso" and not traits.is_explicit and library() is None:
         notes.append(
             "method.linear_solver = 'pardiso' needs the mkl package, which is not installed: superlu takes its place; "
             "to have it: pip install 'corotational-pipeline[mkl]'"

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pipeline.case.specs import VARIANT_SECTIONS, CaseFile
-from pipeline.problem.methods import DESCRIPTIONS
+from pipeline.problem.methods import describe_choices
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _OPEN = ("iterations",)  # keys whose choices include numbers, which an enumeration cannot list
@@ -20,7 +20,7 @@ def case_schema() -> dict[str, Any]:
     for table in (schema, *schema["$defs"].values()):
         table["properties"] = {key: entry for key, entry in table["properties"].items() if "python" not in entry}
     definitions = schema["$defs"]
-    for key, choices in DESCRIPTIONS.items():
+    for key, choices in describe_choices().items():
         section, _, name = key.partition(".")
         if name not in _OPEN:
             properties = _resolve(schema["properties"][section], definitions)["properties"]
@@ -65,7 +65,7 @@ def key_table() -> str:
 def choice_table() -> str:
     """Return a Markdown table of the names that a case file can choose from, as `pipeline methods` prints them."""
     rows = ["| key | name | meaning |", "| --- | --- | --- |"]
-    for key, choices in DESCRIPTIONS.items():
+    for key, choices in describe_choices().items():
         rows += [f"| `{key}` | `{name}` | {text} |" for name, text in choices.items()]
     return "\n".join(rows) + "\n"
 

@@ -1,8 +1,8 @@
 """Checkpoints: all that a run needs to go on bit for bit, checksummed, whole or absent, the last two kept.
 
-A file is a SHA-256 in hexadecimal, a line of JSON (step, work since the frame before, summary of the frames written)
-and an .npz of float64 arrays. It is written after a step and before that step's frame: every frame of an earlier step
-is on the disk then.
+A file is a SHA-256 in hexadecimal, a line of JSON (step, energy guard, effort since the frame before, summary of the
+frames written) and an .npz of float64 arrays. It is written after a step and before that step's frame: every frame of
+an earlier step is on the disk then.
 """
 
 import io
@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,18 +21,19 @@ from pipeline.errors import OutputError
 from pipeline.formats.atomic import write_whole
 from pipeline.linear.work import Work
 from pipeline.run.recording import RunSummary
-from pipeline.stepping.state import State
+from pipeline.stepping.report import Effort, ModelChoice
+from pipeline.stepping.state import EnergyRecord, Memory, State
 
 _KEPT = 2
-_MEMORY = "memory."
+_OWNERS = ("stepper", "inversion")  # of the arrays in a memory: stored as "owner.name"
 
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A state, the work since the frame before it, and the summary of the frames written."""
+    """A state, the effort since the frame before it, and the summary of the frames written."""
 
     state: State
-    work: Work
+    effort: Effort
     summary: RunSummary
 
 
@@ -82,8 +82,16 @@ class CheckpointFolder:
 def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
     """Return the bytes of a checkpoint file."""
     state = checkpoint.state
-    arrays = {"x": state.x, "v": state.v} | {_MEMORY + name: value for name, value in state.memory.items()}
-    numbers = {"step": state.step, "work": asdict(checkpoint.work), "summary": asdict(checkpoint.summary)}
+    arrays = {"x": state.x, "v": state.v}
+    for owner in _OWNERS:
+        arrays |= {f"{owner}.{name}": value for name, value in getattr(state.memory, owner).items()}
+    numbers = {
+        "step": state.step,
+        "energy": state.memory.energy,
+        "work": asdict(checkpoint.effort.work),
+        "choices": checkpoint.effort.choices,
+        "summary": asdict(checkpoint.summary),
+    }
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **arrays)
     # repr of a float, which JSON uses, gives the same float back
@@ -99,11 +107,14 @@ def decode_checkpoint(data: bytes) -> Checkpoint:
     line, _, archive = body.partition(b"\n")
     numbers = json.loads(line)
     with np.load(io.BytesIO(archive), allow_pickle=False) as arrays:
-        memory = {name.removeprefix(_MEMORY): arrays[name] for name in arrays.files if name.startswith(_MEMORY)}
-        state = State(numbers["step"], arrays["x"], arrays["v"], memory)
+        named = {
+            owner: {
+                name.removeprefix(f"{owner}."): arrays[name] for name in arrays.files if name.startswith(f"{owner}.")
+            }
+            for owner in _OWNERS
+        }
+        energy = None if numbers["energy"] is None else EnergyRecord(*numbers["energy"])
+        state = State(numbers["step"], arrays["x"], arrays["v"], Memory(**named, energy=energy))
+    effort = Effort(Work(**numbers["work"]), tuple(ModelChoice(*choice) for choice in numbers["choices"]))
     summary = numbers["summary"]
-    return Checkpoint(state, _work(numbers["work"]), RunSummary(**summary | {"work": _work(summary["work"])}))
-
-
-def _work(numbers: dict[str, Any]) -> Work:
-    return Work(**numbers | {"history": tuple(tuple(step) for step in numbers["history"])})
+    return Checkpoint(state, effort, RunSummary(**summary | {"work": Work(**summary["work"])}))

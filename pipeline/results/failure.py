@@ -13,7 +13,7 @@ from pipeline.fem.rotation import angle, polar
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.vtu_write import encode_static_parts, encode_vtu
 from pipeline.mesh.simplex import quality
-from pipeline.problem.methods import STEP_LIMITS
+from pipeline.problem.methods import STEP_LIMITS, find_traits
 from pipeline.problem.problem import Problem
 from pipeline.run.frame import Frame
 from pipeline.run.measures import measure, spatial
@@ -56,6 +56,7 @@ class Failure:
     def list_remedies(self) -> list[str]:
         """Return what may help, the likeliest first."""
         method, dt = self.problem.method, self.problem.dt
+        traits = find_traits(method)
         out = []
         if method.stepper in STEP_LIMITS:
             bound, _ = STEP_LIMITS[method.stepper]
@@ -64,10 +65,10 @@ class Failure:
             turn = min(float(self.turn.max()), _MOST_DEGREES)
             shorter = dt * min(0.5, _TURN / turn if turn else 0.5)
             out.append(f"try schedule.dt = {shorter:.2g}")
-            if method.model != "auto" and method.law != "linear" and method.iterations != "converged":
-                out.append('method.iterations = "converged" with method.rotation = "polar"')
-            elif method.iterations == "converged" and method.model != "auto":
+            if traits.is_converged:
                 out.append(f"method.max_iterations = {10 * method.max_iterations}")
+            elif not (traits.chooses_model or traits.is_linear):
+                out.append('method.iterations = "converged" with method.rotation = "polar"')
         poor = int(self.quality.argmin())
         if self.quality[poor] < _POOR:
             out.append(f"a better mesh: the quality of cell {poor} is {self.quality[poor]:.2g}, 1 is regular")

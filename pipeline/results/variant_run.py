@@ -15,9 +15,8 @@ from threadpoolctl import threadpool_limits
 from pipeline.case import Case
 from pipeline.errors import OutputError, SolveError, shorten
 from pipeline.formats.atomic import write_whole
-from pipeline.linear.work import Work
-from pipeline.problem.methods import linear_solvers
 from pipeline.problem.problem import Problem
+from pipeline.problem.stage_solvers import list_linear_solvers
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.results.failure import FILE as FAILURE
 from pipeline.results.failure import examine_failure
@@ -29,6 +28,7 @@ from pipeline.run.recording import Recording, RunSummary, Watcher, drive
 from pipeline.sinks.frame_formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.writer_process import WORTH_A_PROCESS, WriterProcess
+from pipeline.stepping.report import Effort
 from pipeline.stepping.state import State
 from pipeline.system.version import VERSION
 
@@ -151,16 +151,16 @@ class VariantRun:
         record = self.writer.recording if beside else Recording
         recording = record(sinks, on_frame=self._on_frame, before=self.summary)
 
-        def after_step(state: State, work: Work) -> None:
-            self._after_step(state, work, recording)
+        def after_step(state: State, effort: Effort) -> None:
+            self._after_step(state, effort, recording)
 
-        start, begun = (began.state, began.work) if began else (None, None)
+        start, effort = (began.state, began.effort) if began else (None, None)
         self._last = start or self.problem.start
         self.interrupt.solving = True
         try:
             # small dense factors gain nothing from BLAS threads, and stall where cores are shared
             with threadpool_limits(limits=1, user_api="blas"):
-                source = frames(self.problem, start, begun=begun, after_step=after_step)
+                source = frames(self.problem, start, effort=effort, after_step=after_step)
                 drive(source, recording)
         finally:
             self.interrupt.solving = False
@@ -182,17 +182,17 @@ class VariantRun:
         if self.notify is not None:
             self.notify(self.name, self.problem, frame, summary)
 
-    def _after_step(self, state: State, work: Work, writer: Watcher) -> None:
+    def _after_step(self, state: State, effort: Effort, writer: Watcher) -> None:
         """Write a checkpoint where one is due; raises Interrupted where an end was asked for."""
         self._last = state
         frames = self.case.output.checkpoint_frames
-        due = self.checkpoints.is_due(work.seconds) or (
+        due = self.checkpoints.is_due(effort.work.seconds) or (
             frames and state.step % (frames * self.problem.steps_per_frame) == 0
         )
         if self.interrupt.requested or due:
             writer.drain()  # a checkpoint says that the frames before it are on the disk
             if self.summary is not None:
-                self.checkpoints.write(Checkpoint(state, work, self.summary))
+                self.checkpoints.write(Checkpoint(state, effort, self.summary))
         if self.interrupt.requested:
             raise Interrupted(
                 f"interrupted after step {state.step} of {self.name}; the same command with --resume goes on from there"
@@ -239,7 +239,7 @@ def _describe_start(case: Case, problem: Problem) -> dict[str, Any]:
         "versions": {"pipeline": VERSION, "python": platform.python_version()}
         | {package: version(package) for package in _PACKAGES},
         "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
-        "linear_solvers": linear_solvers(problem.body, problem.dt, problem.method),
+        "linear_solvers": list_linear_solvers(problem.body, problem.dt, problem.method),
         "cells": len(problem.body.mesh.cells),
         "nodes": len(problem.body.mesh.points),
         "mesh_digest": digest_mesh(problem.body.mesh),

@@ -13,58 +13,60 @@ from pipeline.linear.work import Work
 from pipeline.problem.problem import Problem
 from pipeline.run.frame import Frame
 from pipeline.run.measures import STEPS, spatial
+from pipeline.stepping.report import Effort, StepReport
 from pipeline.stepping.state import State, Stepper
 
-# [m, m/s]: volumes and energies of what is larger would overflow
+# [m, m/s]: volumes and energies of larger numbers would overflow
 _BEYOND = 1e75
 
-AfterStep = Callable[[State, Work], None]
+AfterStep = Callable[[State, Effort], None]
 
 
 def frames(
-    problem: Problem, start: State | None = None, *, begun: Work | None = None, after_step: AfterStep | None = None
+    problem: Problem, start: State | None = None, *, effort: Effort | None = None, after_step: AfterStep | None = None
 ) -> Iterator[Frame]:
     """Yield the start's frame and one every steps_per_frame steps, to the end of the schedule.
 
-    Raises SolveError where a step fails; the frames before it stand. `work.seconds` of the first frame is the set-up,
-    unless `begun`, the work since the frame before `start`, says that the run goes on; a start between two frames has
-    no frame. `after_step` gets each new state and the work since the frame before, and is called before its frame.
+    Raises SolveError if a step fails, after the frames before it. The first frame's `work.seconds` is the set-up time.
+    To resume a run, pass a `start` and the `effort` since the last written frame; a start between two frames yields
+    nothing for itself. `after_step` gets each new state and the effort since the last frame, before its frame is made.
     """
     state = problem.start if start is None else start
     began = time.perf_counter()
     stepper = problem.prepare()
-    work = Work(seconds=time.perf_counter() - began) if begun is None else begun
+    effort = Effort(Work(seconds=time.perf_counter() - began)) if effort is None else effort
     if state.step % problem.steps_per_frame == 0:
-        yield _frame(problem, state, work)
-        work = Work()
+        yield _make_frame(problem, state, effort, stepwise=stepper.chooses_model)
+        effort = Effort(Work())
     while state.step < problem.last_step:
-        state, done = _timed_step(stepper, state)
-        if problem.method.model == "auto":
-            done.history = ((done.rung, done.solves, done.indicator),)
-        work += done
+        state, report = _run_step(stepper, state)
+        effort += report
         if after_step is not None:
-            after_step(state, work)
+            after_step(state, effort)
         if state.step % problem.steps_per_frame == 0:
-            yield _frame(problem, state, work)
-            work = Work()
+            yield _make_frame(problem, state, effort, stepwise=stepper.chooses_model)
+            effort = Effort(Work())
 
 
-def _timed_step(stepper: Stepper, state: State) -> tuple[State, Work]:
+def _run_step(stepper: Stepper, state: State) -> tuple[State, StepReport]:
+    """Return the next state and its report, with seconds; raises SolveError with step and time."""
     began = time.perf_counter()
     at = f"at step {state.step + 1}, t = {(state.step + 1) * stepper.dt:g} s"
     try:
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # judged by the next line instead
-            new, work = stepper.step(state)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below finds what overflows
+            new, report = stepper.step(state)
     except SolveError as error:
         raise SolveError(f"{error} ({at})") from error
     # written so that NaN fails too
     if not (np.vdot(new.x, new.x) < _BEYOND**2 and np.vdot(new.v, new.v) < _BEYOND**2):
         raise SolveError(f"positions are no longer finite {at}; try a smaller schedule.dt than {stepper.dt:g}")
-    work.seconds += time.perf_counter() - began
-    return new, work
+    report.work.seconds += time.perf_counter() - began
+    return new, report
 
 
-def _frame(problem: Problem, state: State, work: Work) -> Frame:
+def _make_frame(problem: Problem, state: State, effort: Effort, *, stepwise: bool) -> Frame:
+    known = dynamics(problem.body, state, state.step * problem.dt)
+    known["newton_iterations"] = np.asarray(float(effort.work.iterations))
     return Frame(
         index=state.step // problem.steps_per_frame,
         time=state.step * problem.dt,
@@ -72,22 +74,23 @@ def _frame(problem: Problem, state: State, work: Work) -> Frame:
         x=state.x,
         step=state.step,
         v=state.v,
-        known=dynamics(problem.body, state, state.step * problem.dt) | _effort(problem, work),
-        work=work,
+        known=known | (_list_choices(effort, problem.steps_per_frame) if stepwise else {}),
+        work=effort.work,
         state=state,
     )
 
 
-def _effort(problem: Problem, work: Work) -> dict[str, Floats]:
-    """Return what the steps since the frame before took, by the names of measures.VARIABLES and STEPS."""
-    effort = {"newton_iterations": np.asarray(float(work.iterations))}
-    if problem.method.model != "auto":
-        return effort
-    # as many numbers in every frame: none of the steps before the first one has happened
-    steps = np.full((problem.steps_per_frame, 3), np.nan)
-    steps[len(steps) - len(work.history) :] = np.reshape(work.history, (-1, 3))
-    whole = {"rung": np.asarray(float(work.rung)), "indicator": np.asarray(work.indicator)}
-    return effort | whole | dict(zip(STEPS, steps.T.copy(), strict=True))
+def _list_choices(effort: Effort, count: int) -> dict[str, Floats]:
+    """Return the choices of the last `count` steps, by the names of measures.VARIABLES and STEPS.
+
+    Every frame has as many numbers: those of steps before the first one are NaN.
+    """
+    rung = max((choice.rung for choice in effort.choices), default=0)
+    indicator = max((choice.indicator for choice in effort.choices), default=0.0)
+    steps = np.full((count, 3), np.nan)
+    steps[count - len(effort.choices) :] = np.reshape(effort.choices, (-1, 3))
+    whole = {"rung": np.asarray(float(rung)), "indicator": np.asarray(indicator)}
+    return whole | dict(zip(STEPS, steps.T.copy(), strict=True))
 
 
 def dynamics(body: Body, state: State, time: float) -> dict[str, Floats]:
@@ -95,11 +98,10 @@ def dynamics(body: Body, state: State, time: float) -> dict[str, Floats]:
     p = body.momentum(state.v)
     xp = np.zeros((3, 3))  # sum_n x_n p_n^T, whose skew part is the sum of x_n x p_n
     xp[: body.mesh.dimension, : body.mesh.dimension] = state.x.T @ p
-    turning = axial(xp.T - xp)
     return {
         "kinetic_energy": np.asarray(0.5 * np.vdot(state.v, p)),
         "elastic_energy": np.asarray(body.energy(state.x)),
         "potential_energy": np.asarray(-np.vdot(body.load_at(time), state.x - body.mesh.points)),
         "linear_momentum": spatial(p.sum(axis=0)),
-        "angular_momentum": turning,
+        "angular_momentum": axial(xp.T - xp),
     }

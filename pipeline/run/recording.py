@@ -135,7 +135,7 @@ def _continued(summary: RunSummary, frame: Frame, measured: Values) -> RunSummar
         frames=summary.frames + 1,
         steps=frame.step or 0,
         time=frame.time,
-        work=replace(summary.work + work, history=()) if summary.frames else Work(),
+        work=summary.work + work if summary.frames else Work(),
         setup_seconds=setup,
         worst_volume_ratio=float(ratio[cell]) if worse else summary.worst_volume_ratio,
         worst_cell=cell if worse else summary.worst_cell,

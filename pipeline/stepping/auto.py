@@ -1,18 +1,20 @@
-r"""model = "auto": the cheapest rotations that a step can do with, by one number, tolerance, on spurious volume.
+r"""model = "auto": in every step the cheapest model that keeps a tolerance on spurious volume.
 
-A step's spurious volume is tan^2 of the angle between the rotation its solve USED and the rotation it REACHED:
-linear elasticity used I, one solve the rotations that it started from, a converged step those that it reaches. In
-strained cells that turn, the stress that the solve balanced strays by more: the indicator (fem/turning.py) is the
-larger of the two, in the worst cell. Hence
+A step's spurious volume is tan^2 of the angle between the rotation U that its solve used and the rotation R that it
+reached. Linear elasticity used I, one solve the rotations that it started from, a converged step those that it
+reaches. In strained cells that turn, the stress that the solve balanced is further off: the indicator
+(fem/frame_error.py) is the larger of the two, in the worst cell. Hence, with T the tolerance,
 
-    use   I and the matrix factored at rest, while the present cells are that near to I;  else the present rotations
-    solve the stage with them; look at the rotations reached
-    accept where the indicator of (used, reached) <= tolerance;  else use those reached and solve again
-    where that does not shrink, or a cell turned by 90 degrees and more, Newton's method finishes the step
+    U = I and the factor of the rest state, if cells at x_n are that close to I;  else U = R(x_n)
+    solve the stage with U;  find R at the positions reached
+    accept if indicator(U, R) <= T;  else U = R and solve again
+    if that does not shrink the indicator, or a cell turned by 90 degrees or more, Newton's method solves the step
 
-No accepted step has an indicator above the tolerance. It bounds volume, not phase: what damping a step has still
-depends on how often it was solved.
+No accepted step has an indicator above T. It bounds volume, not phase: numerical damping still depends on the number
+of solves.
 """
+
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,15 +23,17 @@ from pipeline.fem.body import Body
 from pipeline.fem.frame_error import Turning
 from pipeline.linear.work import Work
 from pipeline.stepping.newton import Converged
-from pipeline.stepping.stage import FrozenPasses, Prefactored, Stage, reached
+from pipeline.stepping.report import CONVERGED, COROTATIONAL, LINEAR, ModelChoice, StepReport
+from pipeline.stepping.stage import FrozenPasses, Prefactored, Stage, advance
 
-LINEAR, COROTATIONAL, CONVERGED = 0, 1, 2  # the rungs
-_SHRINKS = 0.5  # a frozen pass that leaves more than this part of the indicator is not getting there
-_PASSES = 8
+_SHRINKS = 0.5  # a pass that leaves more than this part of the indicator is not converging
+_PASSES = 8  # 7 halvings take an indicator of 1, which is 45 degrees, below the default tolerance of .01
 
 
 class Auto:
     """Solves stages to a tolerance on spurious volume and stray stress."""
+
+    chooses_model: ClassVar[bool] = True
 
     def __init__(
         self, body: Body, linear: Prefactored, passes: FrozenPasses, newton: Converged, tolerance: float
@@ -39,73 +43,74 @@ class Auto:
         self.passes = passes
         self.newton = newton
         self.tolerance = tolerance
-        # the positions judged last, how far they had turned, and from I or not: the array that one step ends with is
-        # the one that the next begins with
-        self._x: Floats | None = None
-        self._turned, self._from_rest = Turning(np.inf, np.inf), False
+        # the positions measured last (a copy), the result, and whether it was measured from I. A step usually begins
+        # with the positions that the one before ended with: then they are not measured again
+        self._x, self._is_measured = np.empty_like(body.mesh.points), False
+        self._error, self._from_rest = Turning(np.inf, np.inf), False
         # rotations used and rotations reached, in turn
         e, d = len(body.mesh.cells), body.mesh.dimension
         self._used, self._reached = np.empty((2, e, d, d))
 
-    def solve(self, stage: Stage) -> tuple[Floats, Floats, Work]:
-        """Return the accepted x and v; work says which rung and indicator; raises SolveError where Newton does."""
-        x, v, work = self._first(stage)
-        turned = self._judged(x)
+    def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
+        """Return the accepted x and v, and a report with the rung and the indicator; raises SolveError as Newton."""
+        x, v, work, rung = self._solve_first(stage)
+        error = self._measure(x)
         for _ in range(_PASSES):
-            if turned.indicator <= self.tolerance:
+            if error.indicator <= self.tolerance:
                 break
-            before = turned.indicator
-            work += self._pass(x, stage, v)
-            turned = self._judged(reached(self.body, stage, v, out=x))
-            if not turned.indicator <= max(self.tolerance, _SHRINKS * before):
+            before = error.indicator
+            work += self._run_pass(x, stage, v, at_x_h=False)
+            rung = COROTATIONAL
+            error = self._measure(advance(self.body, stage, v, out=x))
+            if not error.indicator <= max(self.tolerance, _SHRINKS * before):
                 break
-        if turned.indicator <= self.tolerance:
-            work.indicator = turned.indicator
-            return x, v, work
-        x, v, done = self.newton.solve(stage)
-        work += done
-        work.rung = CONVERGED
-        return x, v, work
+        if error.indicator <= self.tolerance:
+            return x, v, StepReport(work, ModelChoice(rung, work.solves, error.indicator))
+        x, v, report = self.newton.solve(stage)
+        work += report.work
+        return x, v, StepReport(work, ModelChoice(CONVERGED, work.solves, 0.0))
 
-    def _first(self, stage: Stage) -> tuple[Floats, Floats, Work]:
-        """Return x and v of the first solve and its work."""
-        if self._is_near_rest(stage.now):
+    def _solve_first(self, stage: Stage) -> tuple[Floats, Floats, Work, int]:
+        """Return x and v of the first solve, its work and its rung."""
+        near_rest = self._is_near_rest(stage.now)
+        self._is_measured = False  # from here on the buffers change; a solve may fail
+        if near_rest:
             self._from_rest = True
-            return self.linear.solve(stage)
-        if stage.start is not stage.now:
+            x, v, report = self.linear.solve(stage)
+            return x, v, report.work, LINEAR
+        if not stage.starts_at_x_n:
             self.body.turn(stage.start, self._reached)
         v = stage.v_h.copy()
-        work = self._pass(stage.start, stage, v)
-        return reached(self.body, stage, v), v, work
+        work = self._run_pass(stage.start, stage, v, at_x_h=stage.starts_at_x_n)
+        return advance(self.body, stage, v), v, work, COROTATIONAL
 
-    def _pass(self, x: Floats, stage: Stage, v: Floats) -> Work:
-        """Improve v by a solve with the rotations reached at x (n, d), which are used from now on."""
+    def _run_pass(self, x: Floats, stage: Stage, v: Floats, *, at_x_h: bool) -> Work:
+        """Improve v by a solve with the rotations reached at x (n, d), which are the ones used from now on."""
         self._used, self._reached = self._reached, self._used
         self._from_rest = False
-        work = self.passes.pass_from(x, stage, v, self._used)
-        work.rung = COROTATIONAL
-        return work
+        return self.passes.run_pass(x, stage, v, self._used, at_x_h=at_x_h)
 
-    def _judged(self, x: Floats) -> Turning:
-        """Return how far cells at x have turned from the rotations used; a bound will do where it is low enough."""
-        self._x = x
+    def _measure(self, x: Floats) -> Turning:
+        """Return how far the rotations at x are from those used; a bound replaces it if that is low enough."""
+        np.copyto(self._x, x)
+        self._is_measured = True
         bound = self.body.turning_bound(x) if self._from_rest else np.inf
         if bound <= self.tolerance:
-            self._turned = Turning(bound, bound)
+            self._error = Turning(bound, bound)
         else:
-            self._turned = self.body.turning(x, None if self._from_rest else self._used, self._reached)
-        return self._turned
+            self._error = self.body.turning(x, None if self._from_rest else self._used, self._reached)
+        return self._error
 
     def _is_near_rest(self, x: Floats) -> bool:
-        """Return whether cells at x are so little turned that the linear law will do; if not, find their rotations."""
-        if x is self._x:
+        """Return whether the linear law will do for cells at x; if not, their rotations are in `_reached`."""
+        if self._is_measured and (x == self._x).all():
             if self._from_rest:
-                return self._turned.indicator <= self.tolerance
-            if self._turned.from_rest > self.tolerance:
+                return self._error.indicator <= self.tolerance
+            if self._error.from_rest > self.tolerance:
                 return False
         if self.body.turning_bound(x) <= self.tolerance:
             return True
-        # the second part of the indicator takes longer to find: only where the first does not settle it
+        # the second part of the indicator costs more: it is measured only if the first does not decide
         if self.body.turn(x, self._reached) > self.tolerance:
             return False
         return self.body.turning(x, None, self._reached).indicator <= self.tolerance

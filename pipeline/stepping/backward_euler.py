@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from math import atan, hypot, log
 
 from pipeline.fem.body import Body
-from pipeline.linear.work import Work
-from pipeline.stepping.inversion import Treatment, tracked_rotations
+from pipeline.stepping.inversion import Treatment, track_rotations
+from pipeline.stepping.parts import StepperParts
+from pipeline.stepping.report import StepReport
 from pipeline.stepping.stage import Stage, StageSolver
-from pipeline.stepping.state import State
+from pipeline.stepping.state import Memory, State
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,14 +24,25 @@ class BackwardEuler:
     stage_solver: StageSolver
     treatment: Treatment | None = None
 
-    def step(self, state: State) -> tuple[State, Work]:
+    @classmethod
+    def make(cls, body: Body, dt: float, parts: StepperParts) -> "BackwardEuler":
+        """Return the stepper with the parts that a case names."""
+        return cls(body, dt, parts.make_stage_solver(dt), parts.make_treatment())
+
+    @property
+    def chooses_model(self) -> bool:
+        """Return whether each step chooses its own model."""
+        return self.stage_solver.chooses_model
+
+    def step(self, state: State) -> tuple[State, StepReport]:
         """Return the state dt later."""
-        end = (state.step + 1) * self.dt
+        end, x_n = (state.step + 1) * self.dt, state.x
         held, load = self.body.held_positions(end), self.body.load_at(end)
-        R, memory = tracked_rotations(self.treatment, self.body, state.x, state)
-        x, v, work = self.stage_solver.solve(Stage(state.x, state.v, self.dt, state.x, state.x, held, load, R))
-        work.steps += 1
-        return State(state.step + 1, x, v, memory), work
+        R, inversion = track_rotations(self.treatment, self.body, x_n, state)
+        stage = Stage(x_n, state.v, self.dt, x_n, x_n, held, load, starts_at_x_n=True, R=R)
+        x, v, report = self.stage_solver.solve(stage)
+        report.work.steps += 1
+        return State(state.step + 1, x, v, Memory(inversion=inversion)), report
 
 
 def damping_ratio(z: float) -> float:
@@ -40,5 +52,5 @@ def damping_ratio(z: float) -> float:
 
 
 def mode_factor(z: float) -> complex:
-    """Return the factor G of a step on a mode with z = omega dt; an exact step would turn it by e^(i z)."""
+    """Return the factor G by which a step multiplies a mode with z = omega dt; the exact one is e^(i z)."""
     return 1 / (1 - 1j * z)

@@ -1,13 +1,13 @@
-r"""A cell's rotation where det F <= 0; where det F > 0 all treatments are the polar rotation.
+r"""The rotation of a cell with det F <= 0; if det F > 0, all treatments are the polar rotation.
 
     flip      the smallest singular value is negative (Irving, Teran, Fedkiw 2004): the nearest rotation. A cell
               pushed far through a face may find another axis shorter, and rest inverted. No history; has a potential
-    last      the rotation from before the inversion is kept. Recovers, but a cell that turns meanwhile is held back
+    last      the rotation before the inversion is kept. Recovers, but a cell that turns meanwhile is held back
     crossing  the singular value whose direction collapsed when the cell inverted is taken as negative, as long as it
               stays inverted (after Schmedding, Teschner 2008 and Civit-Flores, Susin 2014)
 
-The last two need the state before, which is kept in State.memory; they are for one solve a step. A start that is
-already inverted is taken to have come from the rest shape.
+The last two need the previous step, which they keep in the state's memory; they are for one solve a step. A cell that
+is inverted at the start counts as having been at rest before.
 """
 
 from collections.abc import Mapping
@@ -21,33 +21,33 @@ from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import polar
 from pipeline.stepping.state import State
 
-Memory = Mapping[str, Floats]
+Record = Mapping[str, Floats]
 
 
 class Treatment(Protocol):
-    """Rotations with a memory."""
+    """Rotations that depend on the step before."""
 
-    def rotations(self, F: Floats, memory: Memory) -> tuple[Floats, Memory]:
-        """Return the rotations R (e, d, d) of F (e, d, d), and what to remember for the next state."""
+    def rotations(self, F: Floats, record: Record) -> tuple[Floats, Record]:
+        """Return the rotations R (e, d, d) of F (e, d, d), and the record for the next step."""
         ...
 
 
-def tracked_rotations(treatment: Treatment | None, body: Body, x: Floats, state: State) -> tuple[Floats | None, Memory]:
-    """Return the rotations at x (n, d) by a treatment and its memory; None, and none, where the law is to choose."""
+def track_rotations(treatment: Treatment | None, body: Body, x: Floats, state: State) -> tuple[Floats | None, Record]:
+    """Return the treatment's rotations at x (n, d) and its next record; without a treatment None and an empty one."""
     if treatment is None:
         return None, {}
-    return treatment.rotations(deformation_gradient(body.mesh, x), state.memory)
+    return treatment.rotations(deformation_gradient(body.mesh, x), state.memory.inversion)
 
 
 class Last:
     """Keeps the rotation from before the inversion."""
 
-    def rotations(self, F: Floats, memory: Memory) -> tuple[Floats, Memory]:
-        """Return polar(F), or the remembered rotation where det F <= 0."""
+    def rotations(self, F: Floats, record: Record) -> tuple[Floats, Record]:
+        """Return polar(F), or the recorded rotation of cells with det F <= 0."""
         R = polar(F)
         inverted = np.linalg.det(F) <= 0
         if inverted.any():
-            before = memory.get("rotation_before", np.broadcast_to(np.eye(F.shape[-1]), F.shape))
+            before = record.get("rotation_before", np.broadcast_to(np.eye(F.shape[-1]), F.shape))
             R[inverted] = before[inverted]
         return R, {"rotation_before": R}
 
@@ -55,11 +55,11 @@ class Last:
 class Crossing:
     """Keeps the direction that collapsed: a unit vector of the rest shape, zero for a cell that is not inverted."""
 
-    def rotations(self, F: Floats, memory: Memory) -> tuple[Floats, Memory]:
-        """Return polar(F), or the rotation with the collapsed direction reflected where det F <= 0."""
+    def rotations(self, F: Floats, record: Record) -> tuple[Floats, Record]:
+        """Return polar(F), or with the collapsed direction reflected for cells with det F <= 0."""
         e, d = F.shape[:2]
-        before = memory.get("gradient_before", np.broadcast_to(np.eye(d), F.shape))
-        collapsed = memory.get("collapsed", np.zeros((e, d))).copy()
+        before = record.get("gradient_before", np.broadcast_to(np.eye(d), F.shape))
+        collapsed = record.get("collapsed", np.zeros((e, d))).copy()
         R = polar(F)
         inverted = np.linalg.det(F) <= 0
         collapsed[~inverted] = 0.0
@@ -72,7 +72,7 @@ class Crossing:
 
 
 def _collapsed_directions(A: Floats, B: Floats) -> Floats:
-    """Return, for each pair, the unit n (k, d) with ((1 - s) A + s B) n = 0 at the first s of [0, 1] that has one."""
+    """Return for each pair the unit n (k, d) with ((1 - s) A + s B) n = 0 at the smallest such s in [0, 1]."""
     out = np.empty(A.shape[:2])
     for i, (a, b) in enumerate(zip(A, B, strict=True)):
         # det(a + s (b - a)) = 0; s = 1 / (1 - eigenvalue) of a^-1 b
@@ -84,7 +84,7 @@ def _collapsed_directions(A: Floats, B: Floats) -> Floats:
 
 
 def _reflected(F: Floats, direction: Floats) -> Floats:
-    """Return U D V^T (k, d, d), D = -1 for the singular direction nearest to the given one and 1 for the others."""
+    """Return U D V^T (k, d, d); D is -1 for the singular direction nearest to `direction`, 1 for the others."""
     largest = np.abs(F).max(axis=(1, 2), keepdims=True)
     U, _, Vt = np.linalg.svd(F / np.where(largest == 0, 1.0, largest))
     nearest = np.abs((Vt @ direction[:, :, None])[:, :, 0]).argmax(axis=1)

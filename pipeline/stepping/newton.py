@@ -4,18 +4,22 @@ r"""The converged stage: Newton's method on the incremental potential, with back
     grad phi = M (x - y) / h^2 + grad W - f_ext,          v = (x - x_h) / h
 
 Its minimum is the stage's solution. From x_n every accepted iterate lowers phi, so the energy after a step of
-backward Euler is bounded by the energy before it. From the predictor y it takes 3 to 4 iterations where it converges,
-so that is tried first and kept only if it ends no higher than phi(x_n).
+backward Euler is bounded by the energy before it. From the predictor y the iteration usually takes 3 to 4 iterations,
+so that is tried first; the result is accepted only if it converged and phi is no higher than phi(x_n).
 
-tangent = "projected" always descends, and near the end, where it would converge linearly in compression, gives way to
-the exact one; "exact" converges quadratically but may not descend in compression;
-"frozen" (K' of the thesis) converges linearly. The last two are there to be studied.
+An iteration:  solve (M/h^2 + K) dx = -grad phi,  then x += s dx with the first s of 1, 1/2, 1/4, … that lowers phi
+enough (Armijo). It stops at  |grad phi| <= tolerance (|M v_h|/h + |f_ext| + |f_el| + a floor of rounding).
 
-Where an inverted cell is stretched so far that tr S > d + 2 mu/lam, W has a convex crease; a minimum on it has no
-vanishing gradient, and is an error.
+tangent = "projected" always descends; in compression it converges linearly, so near the end the exact one replaces it.
+"exact" converges quadratically but may not descend in compression; "frozen" (K' of the thesis) converges linearly.
+The last two are for studies.
+
+If an inverted cell is stretched so far that tr S > d + 2 mu/lam, W has a convex crease; at a minimum on it the
+gradient does not vanish, and the solve is an error.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -25,20 +29,22 @@ from pipeline.fem.body import Body
 from pipeline.fem.laws import Tangent
 from pipeline.linear.choice import LinearSolver
 from pipeline.linear.work import Work
-from pipeline.stepping.stage import Stage, StageSystem, reached
+from pipeline.stepping.report import StepReport
+from pipeline.stepping.stage import Stage, StageSystem, advance
 
-_PREDICTOR_ITERATIONS = 30  # where the predictor is good it needs 3 to 6, in fast spin about a generic axis 16 to 30
+_PREDICTOR_ITERATIONS = 30  # a good predictor needs 3 to 6, in fast spin about a generic axis 16 to 30
 _NEAR = 1e-2  # of the forces: from here the exact tangent is tried
 _SUFFICIENT = 1e-4  # Armijo: the part of the predicted decrease that a step must bring
-_SHORTEST = 2.0**-30  # a shorter step is lost in the rounding of phi
+_SHORTEST = 2.0**-30  # a shorter step changes phi by less than its rounding
 # forces cancel to rounding, about 1e-16 of the stiffest cell's force per unit strain, summed over some cells
 _ROUNDING = 1e-13
 _DIGITS = 1e-13  # of phi: its terms cancel, and each is a sum over cells
+_SAME_PHI = 1e-12  # relative: two values of phi that differ by less are equal to rounding
 
 
 @dataclass(frozen=True)
 class NewtonLimits:
-    """Where the iteration stops: residual over the forces' size [1], iterations, and which tangent it uses."""
+    """The residual over the forces' size [1] and the number of iterations at which to stop, and the tangent to use."""
 
     tolerance: float
     iterations: int
@@ -50,7 +56,7 @@ _Terms = tuple[float, float, float]  # of phi [J]: inertia, elastic energy, load
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
-    """How one attempt ended: x (n, d), phi [J], the residual over its scale [1], and the work."""
+    """The end of one attempt: x (n, d), phi [J], the residual over its scale [1], and the work."""
 
     x: Floats
     phi: float
@@ -60,63 +66,64 @@ class _Descent:
 
 
 class Converged:
-    """Solves stages to a residual tolerance, in room made once."""
+    """Solves stages to a residual tolerance, in buffers allocated once."""
+
+    chooses_model: ClassVar[bool] = False
 
     def __init__(self, body: Body, solver: LinearSolver, limits: NewtonLimits) -> None:
         self.body = body
         self.limits = limits
         self.system = StageSystem(body, solver)
         m, X = body.material, body.mesh.points
-        # a force that strain of one would make: what rounding is measured by
+        # the force of a strain of one, the scale of rounding
         self._stiff = (2 * m.mu + abs(m.lam)) * body.mesh.rest_volumes.max() ** (
             (body.mesh.dimension - 1) / body.mesh.dimension
         )
-        # the energy of a strain of one everywhere [J], and the strain that rounded positions make
+        # the energy of a strain of one everywhere [J], and the strain that rounding of positions causes
         self._full = (2 * m.mu + abs(m.lam)) * float(body.mesh.rest_volumes.sum())
         steepest = float(np.abs(body.mesh.shape_gradients).max())
         self._rounded_strain = float(np.finfo(np.float64).eps * np.abs(X).max()) * steepest
-        # where the iteration is, where it might go; y, -grad phi, dx, and scratch for two vectors
+        # the iterate and the next one on trial; y, -grad phi, dx, and scratch for two vectors
         self._x, self._trial = np.empty((2, *X.shape))
         self._y, self._r, self._dx, self._away, self._Ma = np.empty((5, *X.shape))
-        self._stage: Stage | None = None
-        self._given = 0.0  # the size of the forces that a stage brings
+        self._constant_forces = 0.0  # the size [N] of those that do not depend on x
 
-    def solve(self, stage: Stage) -> tuple[Floats, Floats, Work]:
-        """Return x and v at the minimum of phi; raises SolveError with the residual where the limit is reached."""
-        self._take(stage)
-        first = self.descend(self._y, stage, min(_PREDICTOR_ITERATIONS, self.limits.iterations))
-        if first.converged:
-            safe = self._hold(stage.start, stage, self._trial)
-            if first.phi <= sum(self._terms(safe, stage)) + abs(first.phi) * 1e-12:
-                return *self._found(first.x, stage), first.work
-        found = self.descend(stage.start, stage, self.limits.iterations)
-        work = first.work + found.work
-        if not found.converged:
-            raise self._failure(found)
-        return *self._found(found.x, stage), work
-
-    def _found(self, x: Floats, stage: Stage) -> tuple[Floats, Floats]:
-        v = np.subtract(x, stage.x_h)
+    def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
+        """Return x and v at the minimum of phi; raises SolveError with the residual at the limit of iterations."""
+        self._begin(stage)
+        end = self._descend(self._y, stage, min(_PREDICTOR_ITERATIONS, self.limits.iterations))
+        work = end.work
+        if not (end.converged and end.phi <= self._phi_before(stage) + abs(end.phi) * _SAME_PHI):
+            end = self._descend(stage.start, stage, self.limits.iterations)
+            work = work + end.work
+        if not end.converged:
+            raise self._make_error(end)
+        v = np.subtract(end.x, stage.x_h)
         v /= stage.h
-        return reached(self.body, stage, v), v
+        return advance(self.body, stage, v), v, StepReport(work)
 
-    def _take(self, stage: Stage) -> None:
-        """Find y, and the size of the forces that do not change in the stage."""
-        self._stage = stage
+    def descend(self, start: Floats, stage: Stage, limit: int) -> _Descent:
+        """Return the end of at most `limit` iterations from start (n, d); the next descent overwrites its x."""
+        self._begin(stage)
+        return self._descend(start, stage, limit)
+
+    def _phi_before(self, stage: Stage) -> float:
+        return sum(self._terms(self._hold(stage.start, stage, self._trial), stage))
+
+    def _begin(self, stage: Stage) -> None:
+        """Compute y, and the size of the forces that do not change in the stage."""
         np.multiply(stage.v_h, stage.h, out=self._y)
         self._y += stage.x_h
         inertia = _norm(self.body.momentum(stage.v_h, self._Ma)) / stage.h
-        self._given = inertia + _norm(stage.load)
+        self._constant_forces = inertia + _norm(stage.load)
 
-    def _failure(self, found: _Descent) -> SolveError:
-        count = found.work.iterations
-        said = f"Newton did not reach {self.limits.tolerance:g} in {count} iterations (residual {found.residual:.2g}); "
-        if count < self.limits.iterations:
-            said += (
-                "no step lowers the energy further, as where inverted cells are stretched to several times their size"
-            )
-            return SolveError(f"{said}: try a smaller schedule.dt or a stiffer body")
-        return SolveError(f"{said}try a smaller schedule.dt or a larger method.max_iterations")
+    def _make_error(self, end: _Descent) -> SolveError:
+        tolerance, count = self.limits.tolerance, end.work.iterations
+        text = f"Newton did not reach {tolerance:g} in {count} iterations (residual {end.residual:.2g}); "
+        if count >= self.limits.iterations:
+            return SolveError(f"{text}try a smaller schedule.dt or a larger method.max_iterations")
+        reason = "no step lowers the energy further, as with inverted cells stretched to several times their size"
+        return SolveError(f"{text}{reason}; try a smaller schedule.dt or a stiffer body")
 
     def _terms(self, x: Floats, stage: Stage) -> _Terms:
         """Return the terms of phi(x) [J]."""
@@ -125,33 +132,31 @@ class Converged:
         np.subtract(x, self.body.mesh.points, out=self._away)
         return inertia, self.body.energy(x), -float(np.vdot(stage.load, self._away))
 
-    def descend(self, start: Floats, stage: Stage, limit: int) -> _Descent:
-        """Return where at most `limit` iterations from start (n, d) lead; the next descent overwrites its x."""
-        if stage is not self._stage:
-            self._take(stage)
+    def _descend(self, start: Floats, stage: Stage, limit: int) -> _Descent:
         self._hold(start, stage, self._x)
         terms, work = self._terms(self._x, stage), Work()
         for iteration in range(limit + 1):
             relative = self._residual(stage)
             if relative <= self.limits.tolerance or iteration == limit or not np.isfinite(relative):
                 break
-            work += self._direction(relative, stage) + Work(iterations=1, rotations=1)
-            before, terms = terms, self._search(terms, -float(np.vdot(self._r, self._dx)), stage)
-            if terms is before:
+            work += self._find_direction(relative, stage) + Work(iterations=1, rotations=1)
+            lower = self._search(terms, -float(np.vdot(self._r, self._dx)), stage)
+            if lower is None:
                 break
+            terms = lower
         return _Descent(self._x, sum(terms), relative, relative <= self.limits.tolerance, work)
 
     def _hold(self, x: Floats, stage: Stage, out: Floats) -> Floats:
-        """Copy x into out, the held nodes to where the stage has them, and return it."""
+        """Return x, in `out`, with the held nodes where the stage holds them."""
         np.copyto(out, x)
         out[self.body.supports.nodes] = stage.held
         return out
 
     def _residual(self, stage: Stage) -> float:
-        """Write -grad phi at x into r (n, d) [N], zero on held nodes; return its norm over that of the forces in it."""
+        """Write -grad phi at x into r (n, d) [N], zero on held nodes; return its norm over the size of its forces."""
         body, r = self.body, self._r
         body.force(self._x, out=r)
-        size = self._given + _norm(r)
+        size = self._constant_forces + _norm(r)
         np.subtract(self._x, self._y, out=self._away)
         body.momentum(self._away, self._Ma)
         self._Ma /= stage.h**2
@@ -161,50 +166,50 @@ class Converged:
         floor = _ROUNDING / self.limits.tolerance * self._stiff * np.sqrt(r.size)
         return _norm(r) / max(size, floor)
 
-    def _direction(self, relative: float, stage: Stage) -> Work:
-        """Find the Newton step dx (n, d), by the exact tangent near the end where that is positive definite."""
+    def _find_direction(self, relative: float, stage: Stage) -> Work:
+        """Compute the Newton step dx (n, d); near the end by the exact tangent if that is positive definite."""
         kind = self.limits.tangent
         if kind != "projected" or relative >= _NEAR:
-            return self._solved(kind, stage)
+            return self._solve_for_dx(kind, stage)
         try:
-            work = self._solved("exact", stage)
-        except SolveError:  # a Cholesky factor says so; others give a direction that does not descend
-            return Work(factorisations=1) + self._solved(kind, stage)
+            work = self._solve_for_dx("exact", stage)
+        except SolveError:  # Cholesky found it indefinite; other solvers return a direction that does not descend
+            return Work(factorisations=1) + self._solve_for_dx(kind, stage)
         if np.vdot(self._r, self._dx) > 0:
             return work
-        return work + self._solved(kind, stage)
+        return work + self._solve_for_dx(kind, stage)
 
-    def _solved(self, kind: Tangent, stage: Stage) -> Work:
+    def _solve_for_dx(self, kind: Tangent, stage: Stage) -> Work:
         """Make (M/h^2 + K) dx = r on the free nodes."""
-        work = self.system.linearise(self._x, stage.h, kind=kind)
+        work = self.system.linearize(self._x, stage.h, kind=kind)
         np.multiply(self._r, stage.h**2, out=self.system.b)
         self._dx[:] = 0.0
         return work + self.system.solve(self._dx[self.body.supports.nodes], self._dx)
 
-    def _search(self, terms: _Terms, slope: float, stage: Stage) -> _Terms:
-        """Move x to x + s dx with the first s of 1, 1/2, … that lowers phi enough; return its terms, or those given.
+    def _search(self, terms: _Terms, slope: float, stage: Stage) -> _Terms | None:
+        """Move x to x + s dx with the first s of 1, 1/2, … that lowers phi enough; return the terms of phi there.
 
-        They are the given ones, and x stays, where there is no such s.
+        If there is no such s, x stays and None is returned.
         """
-        # at the solution phi no longer changes in its digits; a step that promises less than those is taken whole
+        # at the solution phi changes by less than its rounding; a step that promises less than that is taken whole
         phi, noise, s = sum(terms), self._noise(terms), 1.0
         while s >= _SHORTEST:
             np.multiply(self._dx, s, out=self._trial)
             self._trial += self._x
-            found = self._terms(self._trial, stage)
-            if sum(found) <= phi + _SUFFICIENT * s * min(slope, 0.0) + noise:
+            trial = self._terms(self._trial, stage)
+            if sum(trial) <= phi + _SUFFICIENT * s * min(slope, 0.0) + noise:
                 self._x, self._trial = self._trial, self._x
-                return found
+                return trial
             s /= 2
-        return terms
+        return None
 
     def _noise(self, terms: _Terms) -> float:
         """Return the part of phi [J] that is rounding, from its terms.
 
-        Near the rest shape W loses more digits than any sum does: half of full e^2, it changes by full e de with the
-        strain de that rounded positions make. Without that part the search would halve good steps, over and over.
+        Near the rest shape W loses more digits than a sum does: W = full e^2 / 2 changes by full e de with the strain
+        de that rounding of positions causes. Without that part the search would halve good steps over and over.
         """
-        elastic = max(terms[1], 0.0)  # rounding may leave it a little below
+        elastic = max(terms[1], 0.0)  # rounding may leave it slightly negative
         return _DIGITS * sum(map(abs, terms)) + float(np.sqrt(2 * elastic * self._full)) * self._rounded_strain
 
 

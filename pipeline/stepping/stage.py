@@ -1,13 +1,13 @@
-r"""One implicit stage, which backward Euler and BDF2 share, and how far its Newton iteration goes.
+r"""One implicit stage, which backward Euler and BDF2 share, and two ways to solve it.
 
     find v:   M (v - v_h) = h (f_ext + f_el(x_h + h v)),    x = x_h + h v,    supported nodes given
 
-Linearised at x* with the stiffness K = -df_el/dx of the rotations there (correction to T 6.12-6.16: + f_0):
+Linearized at x* with the stiffness K = -df_el/dx of the rotations there (correction to T 6.12-6.16: + f_0):
 
     (M + h^2 K) v = M v_h + h (f_ext + f_el(x*) - K (x_h - x*))
 
     Prefactored     constant K: one factor for the whole run, one substitution a step (linear law; any x* is exact)
-    FrozenPasses    k such solves with K = sum_e R K_e R^T, each at the state that the one before reached;
+    FrozenPasses    k such solves with K = sum_e R K_e R^T, each at the positions that the one before reached;
                     k = 1 is the thesis' method ("warped stiffness"), k > 1 Newton with the frozen tangent
 
 Both are unconditionally stable for the linear law. One solve uses the rotations of the state that it starts from: a
@@ -16,7 +16,7 @@ cell that turns by t in the step gains a volume of tan^2 t, and elongated bodies
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -25,15 +25,16 @@ from pipeline.fem.body import Body
 from pipeline.fem.laws import Tangent
 from pipeline.linear.choice import LinearSolver
 from pipeline.linear.work import Work
+from pipeline.stepping.report import StepReport
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """The equation above: x_h, v_h (n, d), h [s], x* = `start` (n, d), the held nodes' positions `held` (k, d) and
-    the loads f_ext = `load` (n, d) [N] at the end of the step.
+    """The equation above: x_h, v_h (n, d), h [s] and x* = `start` (n, d).
 
-    `now` (n, d) are the positions that the step starts from. R (e, d, d) are the rotations at x*, where something else
-    than the law has chosen them.
+    `held` (k, d) are the positions of the held nodes and `load` (n, d) [N] the loads f_ext at the end of the step.
+    `now` (n, d) are the positions x_n before it; `starts_at_x_n` says that x_h and x* are x_n too, as in backward
+    Euler. `R` (e, d, d) are the rotations at x*, None if the law chooses them.
     """
 
     x_h: Floats
@@ -43,19 +44,25 @@ class Stage:
     now: Floats
     held: Floats
     load: Floats
+    starts_at_x_n: bool
     R: Floats | None = None
 
 
 class StageSolver(Protocol):
     """Solves stages of one body and one h."""
 
-    def solve(self, stage: Stage) -> tuple[Floats, Floats, Work]:
-        """Return x and v (n, d), arrays of the caller's own, and the work it took; raises SolveError."""
+    @property
+    def chooses_model(self) -> bool:
+        """Return whether each solve chooses its own model, and reports it."""
+        ...
+
+    def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
+        """Return x and v (n, d), arrays that the caller owns, and a report; raises SolveError."""
         ...
 
 
-def reached(body: Body, stage: Stage, v: Floats, out: Floats | None = None) -> Floats:
-    """Return x = x_h + h v (n, d), in `out` where that is given; held nodes are where they are held to the last bit."""
+def advance(body: Body, stage: Stage, v: Floats, out: Floats | None = None) -> Floats:
+    """Return x = x_h + h v (n, d), in `out` if given; held nodes are exactly where their supports hold them."""
     x = np.multiply(v, stage.h, out=out)
     x += stage.x_h
     x[body.supports.nodes] = stage.held
@@ -63,12 +70,12 @@ def reached(body: Body, stage: Stage, v: Floats, out: Floats | None = None) -> F
 
 
 class StageSystem:
-    """The linear systems of one body, linearised at positions x and solved for v - v*, v* = (x - x_h)/h.
+    """The linear systems of one body, linearized at positions x and solved for v - v*, v* = (x - x_h)/h.
 
     A (v - v*) = M (v_h - v*) + h (f_ext + f_el(x)),    A = M + h^2 K(x)
 
-    is the equation above with h K (x_h - x) = -h^2 K v* brought to the left. A, f and the right-hand side b are made
-    once, as is room for what a solve needs.
+    is the equation above with h K (x_h - x) = -h^2 K v* brought to the left. A, f and the right-hand side b are
+    allocated once, as are the buffers of a solve.
     """
 
     def __init__(self, body: Body, solver: LinearSolver) -> None:
@@ -79,28 +86,28 @@ class StageSystem:
         self.f, self.b = np.empty_like(X), np.empty_like(X)
         self._free = np.empty((2, len(body.free), d))
 
-    def linearise(self, x: Floats, h: float, R: Floats | None = None, kind: Tangent = "frozen") -> Work:
-        """Take A and f_el at positions x (n, d) for the solves to come."""
+    def linearize(self, x: Floats, h: float, R: Floats | None = None, kind: Tangent = "frozen") -> Work:
+        """Assemble A and f_el at positions x (n, d) and give A to the solver."""
         self.body.system(x, h, self.f, self.A, R=R, kind=kind)
-        return self.take(x)
+        return self.update_solver(x)
 
-    def take(self, x: Floats) -> Work:
-        """Take A as it stands, made at positions x (n, d)."""
+    def update_solver(self, x: Floats) -> Work:
+        """Give the solver A as it is, assembled at positions x (n, d)."""
         body = self.body
 
         def frames(out: Floats) -> None:
-            body.nodal_rotations(x, self._turned).take(body.free, 0, out, "clip")
+            body.nodal_rotations(x, self._nodal_rotations).take(body.free, 0, out, "clip")
 
         return self.solver.update(self.A[: body.free_pattern.blocks], frames)
 
     @cached_property
-    def _turned(self) -> Floats:
-        """Return room for the nodes' rotations, which few solvers ask for."""
+    def _nodal_rotations(self) -> Floats:
+        """Return a buffer for the nodes' rotations, which few solvers ask for."""
         d = self.body.mesh.dimension
         return np.empty((len(self.body.mesh.points), d, d))
 
     def solve(self, held: Floats, w: Floats) -> Work:
-        """Make A w = b on the free nodes and w = held (k, d) on the others; w (n, d) is the guess, b is spent."""
+        """Make A w = b on the free nodes and w = held (k, d) on the others; w (n, d) is the guess, b is overwritten."""
         body = self.body
         if not body.supports.nodes.size:
             return self.solver.solve(self.b, w)
@@ -120,14 +127,16 @@ class StageSystem:
 class Prefactored:
     """The constant tangent of the linear law: M + h^2 K is factored once."""
 
+    chooses_model: ClassVar[bool] = False
+
     def __init__(self, body: Body, solver: LinearSolver, h: float) -> None:
         self.body = body
         self.system = StageSystem(body, solver)
         self._held = np.empty((len(body.supports.nodes), body.mesh.dimension))
-        self._setup: Work | None = self.system.linearise(body.mesh.points, h)
+        self._setup: Work | None = self.system.linearize(body.mesh.points, h)
 
-    def solve(self, stage: Stage) -> tuple[Floats, Floats, Work]:
-        """Return x and v of the one linear system; the linearisation at x_h is exact."""
+    def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
+        """Return x and v of the one linear system; the linearization at x_h is exact."""
         body, system = self.body, self.system
         b = body.momentum(stage.v_h, system.b)
         f = body.force(stage.x_h, out=system.f)
@@ -135,42 +144,47 @@ class Prefactored:
         f *= stage.h
         b += f
         v = stage.v_h.copy()
-        work = system.solve(_held_velocity(stage, stage.x_h, body, self._held), v)
+        work = system.solve(_find_held_velocity(stage, stage.x_h, body, self._held), v)
         work.iterations += 1
         if self._setup is not None:
             work, self._setup = work + self._setup, None
-        return reached(body, stage, v), v, work
+        return advance(body, stage, v), v, StepReport(work)
 
 
 class FrozenPasses:
-    """A fixed number of solves, each with the rotations of the state before it."""
+    """A fixed number of solves, each with the rotations at the positions before it."""
+
+    chooses_model: ClassVar[bool] = False
 
     def __init__(self, body: Body, solver: LinearSolver, passes: int) -> None:
         self.body = body
         self.system = StageSystem(body, solver)
         self.passes = passes
-        self._x, self._reached, self._away = np.empty((3, *body.mesh.points.shape))
+        self._x, self._v_star, self._away = np.empty((3, *body.mesh.points.shape))
         self._held = np.empty((len(body.supports.nodes), body.mesh.dimension))
 
-    def solve(self, stage: Stage) -> tuple[Floats, Floats, Work]:
+    def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
         """Return x and v after the last pass."""
         v = stage.v_h.copy()
-        work = self.pass_from(stage.start, stage, v, stage.R)
+        work = self.run_pass(stage.start, stage, v, stage.R, at_x_h=stage.starts_at_x_n)
         for _ in range(self.passes - 1):
-            work += self.pass_from(reached(self.body, stage, v, out=self._x), stage, v)
-        return reached(self.body, stage, v), v, work
+            work += self.run_pass(advance(self.body, stage, v, out=self._x), stage, v, at_x_h=False)
+        return advance(self.body, stage, v), v, StepReport(work)
 
-    def pass_from(self, x: Floats, stage: Stage, v: Floats, R: Floats | None = None) -> Work:
-        """Write into v, which enters as the guess, the solution linearised at x (n, d), by its rotations or by R."""
+    def run_pass(self, x: Floats, stage: Stage, v: Floats, R: Floats | None = None, *, at_x_h: bool) -> Work:
+        """Write into v, which enters as the guess, the solution linearized at x (n, d), with its rotations or with R.
+
+        `at_x_h` says that x is x_h: then v* is zero, and nothing is subtracted.
+        """
         body, h, system = self.body, stage.h, self.system
-        work = system.linearise(x, h, R)
-        held = _held_velocity(stage, x, body, self._held)
-        ahead, away = x is not stage.x_h, stage.v_h
-        if ahead:
-            np.subtract(x, stage.x_h, out=self._reached)
-            self._reached /= h
-            away = np.subtract(away, self._reached, out=self._away)
-            v -= self._reached
+        work = system.linearize(x, h, R)
+        held = _find_held_velocity(stage, x, body, self._held)
+        away = stage.v_h
+        if not at_x_h:
+            np.subtract(x, stage.x_h, out=self._v_star)
+            self._v_star /= h
+            away = np.subtract(away, self._v_star, out=self._away)
+            v -= self._v_star
         b = body.momentum(away, system.b)
         system.f += stage.load
         system.f *= h
@@ -178,13 +192,13 @@ class FrozenPasses:
         work += system.solve(held, v)
         work.iterations += 1
         work.rotations += 1
-        if ahead:
-            v += self._reached
+        if not at_x_h:
+            v += self._v_star
         return work
 
 
-def _held_velocity(stage: Stage, x: Floats, body: Body, out: Floats) -> Floats:
-    """Write into out (k, d) with what velocities the held nodes get from x (n, d) to where the stage has them."""
+def _find_held_velocity(stage: Stage, x: Floats, body: Body, out: Floats) -> Floats:
+    """Return, in out (k, d), the velocities that take the held nodes from x (n, d) to the end of the stage."""
     x.take(body.supports.nodes, 0, out, "clip")
     np.subtract(stage.held, out, out=out)
     out /= stage.h

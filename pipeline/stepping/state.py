@@ -1,28 +1,47 @@
-"""What a stepper carries from step to step, and what it counts."""
+"""The state that a stepper advances, and what is carried from step to step beside positions and velocities."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import NamedTuple, Protocol
 
 from pipeline.arrays import Floats
-from pipeline.linear.work import Work
+from pipeline.stepping.report import StepReport
+
+
+class EnergyRecord(NamedTuple):
+    """The energy guard's numbers: energy at the start [J], |work of supports| since [J], bad steps in a row."""
+
+    start: float
+    supplied: float
+    strikes: int
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What a method carries beside x and v, each part read and written by its owner alone: arrays by name.
+
+    `stepper` belongs to the stepper, `inversion` to the treatment of inverted cells, `energy` to the energy guard.
+    """
+
+    stepper: Mapping[str, Floats] = field(default_factory=dict)
+    inversion: Mapping[str, Floats] = field(default_factory=dict)
+    energy: EnergyRecord | None = None
+
+
+NO_MEMORY = Memory()
 
 
 @dataclass(frozen=True, eq=False)
 class State:
     """Positions x (n, d) [m] and velocities v (n, d) [m/s] after `step` steps; time is step * dt.
 
-    `memory` is all else that the method carries, as plain named arrays. None of these arrays is to be changed: who made
-    it knows it again in the next step (fidelity.py). Make a new state instead.
+    A step changes none of these arrays; states may share them.
     """
 
     step: int
     x: Floats
     v: Floats
-    memory: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    memory: Memory = NO_MEMORY
 
 
 class Stepper(Protocol):
@@ -33,6 +52,11 @@ class Stepper(Protocol):
         """Return the step's size [s]."""
         ...
 
-    def step(self, state: State) -> tuple[State, Work]:
-        """Return the state one step later and the work it took; raises SolveError."""
+    @property
+    def chooses_model(self) -> bool:
+        """Return whether each step chooses its own model; its reports then say which."""
+        ...
+
+    def step(self, state: State) -> tuple[State, StepReport]:
+        """Return the state one step later and a report of the step; raises SolveError."""
         ...

@@ -1,13 +1,14 @@
 r"""Symplectic Euler (W): v += dt/m (f_el(x) + f_ext), x += dt v, with lumped masses; no matrix.
 
 Order 1, but no damping: energy oscillates about its value. Stable for dt < 2 / omega_max only. Not for stiff bodies
-with large steps; it is the cheapest step there is.
+with large steps; no step is cheaper.
 
     element bound    omega_max <= max_e omega_e, the largest frequency of a cell alone, free, with its lumped mass
     true limit       omega_max of the whole body at rest, supports held (Lanczos)
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
@@ -17,13 +18,17 @@ from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.element import stiffness_blocks
 from pipeline.linear.work import Work
-from pipeline.stepping.inversion import Treatment, tracked_rotations
-from pipeline.stepping.state import State
+from pipeline.stepping.inversion import Treatment, track_rotations
+from pipeline.stepping.parts import StepperParts
+from pipeline.stepping.report import StepReport
+from pipeline.stepping.state import Memory, State
 
 
 @dataclass(eq=False)
 class SymplecticEuler:
-    """A stepper; it does not look at its own limit, methods.py does."""
+    """A stepper; it does not check its own limit, `pipeline.build` does."""
+
+    chooses_model: ClassVar[bool] = False
 
     body: Body
     dt: float
@@ -40,25 +45,21 @@ class SymplecticEuler:
         held = self.body.supports.nodes[:0]
         kick(none, self.body.load[:0], self._dt_over_mass[:0], none, none, self.dt, held, none, none)
 
-    def step(self, state: State) -> tuple[State, Work]:
+    @classmethod
+    def make(cls, body: Body, dt: float, parts: StepperParts) -> "SymplecticEuler":
+        """Return the stepper with the parts that a case names."""
+        return cls(body, dt, parts.make_treatment())
+
+    def step(self, state: State) -> tuple[State, StepReport]:
         """Return the state dt later."""
         body = self.body
-        R, memory = tracked_rotations(self.treatment, body, state.x, state)
+        R, inversion = track_rotations(self.treatment, body, state.x, state)
         v = body.force(state.x, R)
         x = np.empty_like(state.x)
-        where = body.held_positions((state.step + 1) * self.dt)
-        self._kick(
-            v,
-            body.load_at(state.step * self.dt),
-            self._dt_over_mass,
-            state.x,
-            state.v,
-            self.dt,
-            body.supports.nodes,
-            where,
-            x,
-        )
-        return State(state.step + 1, x, v, memory), Work(steps=1, rotations=int(not body.law.constant_tangent))
+        held, load = body.held_positions((state.step + 1) * self.dt), body.load_at(state.step * self.dt)
+        self._kick(v, load, self._dt_over_mass, state.x, state.v, self.dt, body.supports.nodes, held, x)
+        work = Work(steps=1, rotations=int(not body.law.constant_tangent))
+        return State(state.step + 1, x, v, Memory(inversion=inversion)), StepReport(work)
 
 
 def element_limit(body: Body) -> float:
@@ -69,7 +70,7 @@ def element_limit(body: Body) -> float:
 
 
 def true_limit(body: Body) -> float:
-    """Return 2 / omega_max [s] of the body at rest; raises SolveError where Lanczos does not converge."""
+    """Return 2 / omega_max [s] of the body at rest; raises SolveError if Lanczos does not converge."""
     _, K = body.linearise(body.mesh.points)
     pattern = body.free_pattern
     matrix = pattern.matrix(K[: pattern.blocks])
@@ -84,7 +85,7 @@ def true_limit(body: Body) -> float:
         )
     except ArpackError as error:
         raise SolveError(
-            f"the largest frequency was not found ({error}); give schedule.dt below the element bound"
+            f"Lanczos did not find the largest frequency ({error}); set schedule.dt below the element bound"
         ) from error
     return float(2 / np.sqrt(largest[0]))
 
@@ -92,12 +93,12 @@ def true_limit(body: Body) -> float:
 def _cell_matrices(body: Body) -> tuple[Floats, Floats]:
     """Return every cell's stiffness (e, k, k) at rest and its lumped masses (e, k), k = (d + 1) d.
 
-    A node's mass in the whole body is the sum of its cells', which is what makes the bound hold.
+    The bound holds because a node's mass in the whole body is the sum of its masses in the cells.
     """
     mesh = body.mesh
     e, corners = mesh.cells.shape
     d = mesh.dimension
-    one = np.broadcast_to(np.eye(d), (e, d, d))
-    K = stiffness_blocks(mesh, body.law.tangent(one, one)).reshape(e, corners * d, corners * d)
+    identity = np.broadcast_to(np.eye(d), (e, d, d))
+    K = stiffness_blocks(mesh, body.law.tangent(identity, identity)).reshape(e, corners * d, corners * d)
     share = body.material.density * mesh.rest_volumes / corners
     return K, np.repeat(share[:, None], corners * d, axis=1)

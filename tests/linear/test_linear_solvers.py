@@ -18,7 +18,8 @@ from pipeline.linear.pardiso import Pardiso
 from pipeline.linear.rest_preconditioner import Rest, multigrid_cg, warped_cg
 from pipeline.mesh.shapes import box
 from pipeline.problem import methods
-from pipeline.problem.methods import LINEAR_SOLVERS, linear_solvers
+from pipeline.problem.methods import LINEAR_SOLVERS
+from pipeline.problem.stage_solvers import list_linear_solvers
 from pipeline.stepping.symplectic_euler import true_limit
 
 
@@ -31,7 +32,7 @@ def path(cases_folder, solver: str, variant: str, **keys: object) -> list[np.nda
 
 @pytest.mark.parametrize("variant", ["linear", "gram_schmidt", "polar", "converged"])
 def test_all_solvers_give_the_same_trajectory(cases_folder, variant: str) -> None:
-    runs = {name: path(cases_folder, name, variant) for name in ("auto", *LINEAR_SOLVERS)}
+    runs = {name: path(cases_folder, name, variant) for name in LINEAR_SOLVERS}
     size = np.linalg.norm([4.0, 12.0, 4.0])
     for name, run in runs.items():
         apart = max(np.abs(a - b).max() for a, b in zip(run, runs["superlu"], strict=True))
@@ -132,7 +133,7 @@ def test_pardiso_without_mkl_is_superlu_and_says_so(cases_folder, monkeypatch) -
     case = load_case(cases_folder / "bar.toml", overrides={"method.linear_solver": "pardiso"})
     problem = build(case.variant("polar"))
     assert "superlu takes its place; to have it: pip install 'corotational-pipeline[mkl]'" in problem.notes[-1]
-    told = linear_solvers(problem.body, problem.dt, problem.method)
+    told = list_linear_solvers(problem.body, problem.dt, problem.method)
     assert told == [{"name": "superlu", "reason": "the case names pardiso; MKL is not installed"}]
     with pytest.raises(SolveError, match=r"pip install 'corotational-pipeline\[mkl\]'"):
         Pardiso(problem.body.free_pattern)
@@ -192,7 +193,7 @@ def test_a_band_holds_every_entry_once() -> None:
 )
 def test_a_run_says_which_solver_it_used_and_why(cases_folder, variant: str, keys: dict, names: list[str]) -> None:
     problem = build(load_case(cases_folder / "bar.toml", overrides=keys).variant(variant))
-    told = linear_solvers(problem.body, problem.dt, problem.method)
+    told = list_linear_solvers(problem.body, problem.dt, problem.method)
     assert [one["name"] for one in told] == names
     for one in told:
         named = {"cg": "the case names it", "warped": "the case names it; the factor at rest is banded"}

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.cli import main
 from pipeline.errors import CaseError
-from pipeline.problem import schema
+from pipeline.problem import methods
 from pipeline.problem.schema import case_schema, choice_table, iterate_keys, key_table
 from tests.bodies import case_document, write_case
 
@@ -56,9 +56,10 @@ def test_every_key_has_a_sentence_and_every_number_a_unit_or_none():
     assert keys["material.youngs_modulus"]["unit"] == "Pa"
 
 
-def test_a_row_added_to_a_table_is_a_choice(monkeypatch):
-    laws = {**schema.DESCRIPTIONS["method.law"], "mine": "a law of mine"}
-    monkeypatch.setattr(schema, "DESCRIPTIONS", {**schema.DESCRIPTIONS, "method.law": laws})
+def test_a_row_added_to_a_table_is_a_choice(monkeypatch, capsys):
+    monkeypatch.setitem(methods.LAWS, "mine", methods.LawChoice(methods.LAWS["linear"].make, "a law of mine"))
+    assert main(["methods"]) == 0
+    assert "mine               a law of mine" in capsys.readouterr().out
     made = case_schema()
     assert "mine" in made["$defs"]["MethodSpec"]["properties"]["law"]["enum"]
     assert "mine" in made["properties"]["variants"]["additionalProperties"]["properties"]["method.law"]["enum"]

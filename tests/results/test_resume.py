@@ -26,7 +26,8 @@ from pipeline.results.lock import LOCK, lock_folder
 from pipeline.run.recording import RunSummary
 from pipeline.series import read_series
 from pipeline.stepping.bdf2 import BDF2
-from pipeline.stepping.state import State
+from pipeline.stepping.report import Effort, ModelChoice
+from pipeline.stepping.state import EnergyRecord, Memory, State
 from tests.bodies import PLANAR, case_document, without_figures, write_case
 from tests.measured import measure_series
 
@@ -166,7 +167,7 @@ def test_a_bug_that_forgets_the_memory_would_be_seen(tmp_path, monkeypatch):
     genuine = BDF2.step
 
     def forgetful(self, state):
-        return genuine(self, replace(state, memory={"x_before": state.x, "v_before": state.v}))
+        return genuine(self, replace(state, memory=Memory({"x_before": state.x, "v_before": state.v})))
 
     monkeypatch.setattr(BDF2, "step", forgetful)
     solve(path, tmp_path / "parts", resume=True)
@@ -328,19 +329,23 @@ def test_frames_that_are_gone_are_solved_again_from_the_start(tmp_path, monkeypa
 def test_a_checkpoint_comes_back_to_the_bit():
     generator = np.random.default_rng(0)
     x, v, R = (generator.standard_normal(shape) for shape in ((4, 3), (4, 3), (2, 3, 3)))
-    work = Work(steps=3, iterations=7, seconds=0.1, indicator=np.inf)
+    work = Work(steps=3, iterations=7, seconds=0.1)
+    effort = Effort(work, (ModelChoice(0, 1, 0.1), ModelChoice(2, 9, np.inf)))
     summary = RunSummary(4, 9, 0.1 + 0.2, work, 1 / 3, 2 / 3, 4 / 3, -0.1, 5, 0.7)
-    memory = {"guard": np.array([1.0, -0.0, 5e-324]), "rotation_before": R.transpose(0, 2, 1)}
-    read = decode_checkpoint(encode_checkpoint(Checkpoint(State(12, x, v, memory), work, summary)))
-    assert read.state.step == 12 and (read.work, read.summary) == (work, summary)
+    memory = Memory({"x_before": x}, {"rotation_before": R.transpose(0, 2, 1)}, EnergyRecord(0.1 + 0.2, 5e-324, 2))
+    read = decode_checkpoint(encode_checkpoint(Checkpoint(State(12, x, v, memory), effort, summary)))
+    assert read.state.step == 12 and (read.effort, read.summary) == (effort, summary)
     assert read.state.x.tobytes() == x.tobytes() and read.state.v.tobytes() == v.tobytes()
-    assert read.state.memory.keys() == memory.keys()
-    assert all(read.state.memory[name].tobytes() == memory[name].tobytes() for name in memory)
+    assert read.state.memory.energy == memory.energy
+    for owner in ("stepper", "inversion"):
+        arrays, before = getattr(read.state.memory, owner), getattr(memory, owner)
+        assert arrays.keys() == before.keys()
+        assert all(arrays[name].tobytes() == before[name].tobytes() for name in before)
 
 
 def test_no_byte_of_a_checkpoint_can_change_unseen():
     summary = RunSummary(1, 0, 0.0, Work(), 0.0, 0.0, 0.0, 1.0, 0, 0.0)
-    data = encode_checkpoint(Checkpoint(State(1, np.zeros((1, 2)), np.ones((1, 2))), Work(), summary))
+    data = encode_checkpoint(Checkpoint(State(1, np.zeros((1, 2)), np.ones((1, 2))), Effort(Work()), summary))
     for place in range(0, len(data), 7):
         changed = bytearray(data)
         changed[place] ^= 4

@@ -1,5 +1,6 @@
 """Backward Euler: closed forms, its own energy law, what it conserves, and how much work it does."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +16,7 @@ from pipeline.linear.cg import block_jacobi_cg
 from pipeline.linear.choice import SuperLU
 from pipeline.linear.work import Work
 from pipeline.mesh.simplex import Mesh
+from pipeline.problem.methods import Choice
 from pipeline.stepping.backward_euler import damping_ratio
 from pipeline.stepping.state import State
 from tests.bodies import BOXES, METHODS, clamped_bar, motion, solid, spin, stepper, thesis_bar
@@ -194,20 +196,20 @@ def test_a_linear_run_factors_once_and_extracts_no_rotation(monkeypatch):
     def never(F):
         raise AssertionError("a linear scene extracts no rotations")
 
-    monkeypatch.setitem(pipeline.problem.methods.ROTATIONS, "polar", never)
+    monkeypatch.setitem(pipeline.problem.methods.ROTATIONS, "polar", Choice(never, ""))
     body = clamped_bar()
     prepared, state, work = stepper(body, 0.07), State(0, body.mesh.points, thrown(body)), Work()
     for _ in range(10):
-        state, done = prepared.step(state)
-        work += done
+        state, report = prepared.step(state)
+        work += report.work
     assert work == Work(steps=10, solves=10, iterations=10, factorisations=1)
 
 
 @pytest.mark.parametrize("passes", [1, 3])
 def test_every_pass_of_a_corotational_step_is_one_factor_one_solve_and_one_extraction(passes):
     body = clamped_bar(**METHODS["polar"])
-    _, work = stepper(body, 0.07, iterations=passes).step(State(0, body.mesh.points, thrown(body)))
-    assert work == Work(steps=1, solves=passes, iterations=passes, factorisations=passes, rotations=passes)
+    _, report = stepper(body, 0.07, iterations=passes).step(State(0, body.mesh.points, thrown(body)))
+    assert report.work == Work(steps=1, solves=passes, iterations=passes, factorisations=passes, rotations=passes)
 
 
 @METHOD
@@ -221,6 +223,22 @@ def test_a_step_changes_nothing_that_it_was_given(method):
     prepared.step(first)
     for got, wanted in zip((state.x, state.v, body.load, first.x, first.v), (*before, *kept), strict=True):
         assert np.array_equal(got, wanted)
+
+
+@pytest.mark.parametrize("name", ["backward_euler", "bdf2", "symplectic_euler"])
+@pytest.mark.parametrize("changes", [{}, {"iterations": 2}, {"iterations": "converged"}, {"model": "auto"}], ids=str)
+def test_copies_of_a_state_and_a_new_stepper_give_the_same_bits(name, changes):
+    if name == "symplectic_euler" and changes:
+        pytest.skip("an explicit step has no iterations")
+    body, dt = clamped_bar(**METHODS["polar"]), 1e-4 if name == "symplectic_euler" else 0.07
+    states = motion(body, dt, 6, thrown(body), stepper=name, **changes)
+    prepared = stepper(body, dt, stepper=name, **changes)
+    for before, after in pairwise(states):
+        carried = {key: value.copy() for key, value in before.memory.stepper.items()}
+        copy = State(before.step, before.x.copy(), before.v.copy(), replace(before.memory, stepper=carried))
+        for other in (prepared, stepper(body, dt, stepper=name, **changes)):
+            end, _ = other.step(copy)
+            assert end.x.tobytes() == after.x.tobytes() and end.v.tobytes() == after.v.tobytes()
 
 
 @pytest.mark.parametrize("solver", [SuperLU, block_jacobi_cg])

@@ -11,7 +11,7 @@ from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.run.frames import frames
 from pipeline.stepping.bdf2 import mode_factor
-from pipeline.stepping.state import State
+from pipeline.stepping.state import Memory, State
 from tests.bodies import METHODS, built, clamped_bar, motion, solid, stepper
 
 ITERATIONS = pytest.mark.parametrize("iterations", [1, "converged"])
@@ -37,7 +37,7 @@ def test_a_mode_decays_and_lags_by_the_larger_root(mode, z):
     w = [1e3 * omega * (1 + 3j), 1e3 * omega * (1 + 3j) * G]
     (x_before, v_before), (x, v) = ((X + one.real / omega * shape, one.imag * shape) for one in w)
     prepared = stepper(body, z / omega, stepper="bdf2")
-    state = State(1, x, v, {"x_before": x_before, "v_before": v_before})
+    state = State(1, x, v, Memory({"x_before": x_before, "v_before": v_before}))
     for _ in range(5):
         state, _ = prepared.step(state)
         w.append(omega * ((state.x - X) * dual).sum() + 1j * (state.v * dual).sum())
@@ -141,8 +141,8 @@ def test_a_step_is_one_solve_and_the_linear_law_factors_twice_in_all(method):
         Work(),
     )
     for _ in range(5):
-        state, done = prepared.step(state)
-        work += done
+        state, report = prepared.step(state)
+        work += report.work
     linear = method == "linear"
     wanted = Work(steps=5, solves=5, iterations=5, factorisations=2 if linear else 5, rotations=0 if linear else 5)
     assert work == wanted

@@ -26,12 +26,12 @@ from pipeline.fem.loads import body_force
 from pipeline.fem.material import Material
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
+from pipeline.problem.methods import IMPLICIT_STEPPERS
 from pipeline.stepping.state import State
 from pipeline.studies.stability.perturb_mesh import apexes_moved
 from tests.bodies import METHODS, clamped_bar, motion, solid, spin
 from tests.stepping.test_inversion import collapsed, scrambled
 
-IMPLICIT = ("backward_euler", "bdf2")
 # law and rotation of the body, and what the stepper is told
 WAYS = {
     "linear": (METHODS["linear"], {"law": "linear"}),
@@ -41,7 +41,7 @@ WAYS = {
     "converged": (METHODS["polar"], {"iterations": "converged"}),
     "auto": (METHODS["polar"], {"model": "auto"}),
 }
-ALL = list(product(WAYS, IMPLICIT))
+ALL = list(product(WAYS, IMPLICIT_STEPPERS))
 EVERY_WAY = pytest.mark.parametrize(("way", "time_stepper"), ALL, ids=[f"{w}-{s}" for w, s in ALL])
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
@@ -275,7 +275,7 @@ def test_of_two_components_the_free_one_falls_and_the_held_one_does_not_know(way
 
 @pytest.mark.parametrize("angle", [0.01, 1.0, 50.0])
 @pytest.mark.parametrize("d", [2, 3])
-@pytest.mark.parametrize("time_stepper", IMPLICIT)
+@pytest.mark.parametrize("time_stepper", IMPLICIT_STEPPERS)
 def test_a_turn_of_up_to_50_rad_in_the_first_step_is_what_its_method_makes_of_it(time_stepper, d, angle):
     """Linear and one solve swell to 1 + angle^2; auto keeps its tolerance, which the spin's own stretch adds to."""
     mesh = box((4.0, 12.0, 4.0), (2, 8, 2)) if d == 3 else rectangle((4.0, 12.0), (2, 8))

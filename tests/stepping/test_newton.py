@@ -13,9 +13,10 @@ from pipeline.fem.loads import body_force
 from pipeline.fem.material import Material
 from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box, rectangle
-from pipeline.problem.methods import stage_solver
+from pipeline.problem.stage_solvers import make_stage_solver
 from pipeline.run.frames import frames
 from pipeline.stepping.newton import Converged
+from pipeline.stepping.report import StepReport
 from pipeline.stepping.stage import Stage
 from pipeline.stepping.state import State
 from tests.bodies import BOXES, METHODS, built, motion, solid, spin, stepper, turn
@@ -39,14 +40,14 @@ def thrown(d: str, speed: float = 20.0) -> tuple[Body, State]:
 
 
 def newton(body: Body, **method: object) -> Converged:
-    solver = stage_solver(body, DT, MethodSpec(iterations="converged", **method))  # type: ignore[arg-type]  # pydantic checks
+    solver = make_stage_solver(body, DT, MethodSpec(iterations="converged", **method))  # type: ignore[arg-type]  # pydantic checks
     assert isinstance(solver, Converged)
     return solver
 
 
 def stage(body: Body, state: State) -> Stage:
     """Backward Euler's stage."""
-    return Stage(state.x, state.v, DT, state.x, state.x, body.mesh.points[body.supports.nodes], body.load)
+    return Stage(state.x, state.v, DT, state.x, state.x, body.mesh.points[body.supports.nodes], body.load, True)
 
 
 def total_energy(body: Body, state: State) -> float:
@@ -151,7 +152,8 @@ def test_the_residual_is_below_the_tolerance_and_no_iteration_is_made_beyond_it(
     body, state = thrown(d)
     asked = stage(body, state)
     solver = newton(body, tangent="exact", tolerance=tolerance)
-    _, v, work = solver.solve(asked)
+    _, v, report = solver.solve(asked)
+    work = report.work
     r = body.load + body.force(state.x + DT * v) - body.momentum(v - state.v) / DT
     sizes = (body.momentum(state.v) / DT, body.load, body.force(state.x + DT * v))
     assert np.linalg.norm(r[body.free]) <= tolerance * sum(np.linalg.norm(s) for s in sizes)
@@ -163,13 +165,13 @@ def test_the_residual_is_below_the_tolerance_and_no_iteration_is_made_beyond_it(
 @BEAM
 def test_every_iteration_is_one_factor_and_one_solve_and_a_body_at_rest_needs_none(d):
     body, state = thrown(d)
-    _, work = stepper(body, DT, iterations="converged").step(state)
-    n = work.iterations
+    _, report = stepper(body, DT, iterations="converged").step(state)
+    work, n = report.work, report.work.iterations
     assert 2 <= n <= 15
     assert (work.steps, work.solves, work.factorisations) == (1, n, n)
     free = solid(body.mesh, **METHODS["polar"])
-    resting, work = stepper(free, DT, iterations="converged").step(State(0, body.mesh.points, 0 * state.v))
-    assert work == Work(steps=1) and np.array_equal(resting.x, body.mesh.points)
+    resting, report = stepper(free, DT, iterations="converged").step(State(0, body.mesh.points, 0 * state.v))
+    assert report == StepReport(Work(steps=1)) and np.array_equal(resting.x, body.mesh.points)
 
 
 def test_the_iteration_cap_is_an_error_that_names_number_residual_step_and_time(tmp_path):
@@ -202,10 +204,10 @@ def test_a_spin_of_50_rad_a_step_converges_and_keeps_the_volume(split, axis, ite
     v = spin(body, 10.0 * np.array(axis) / np.linalg.norm(axis))
     prepared, state = stepper(body, 5.0, iterations="converged"), State(0, body.mesh.points, v)
     for _ in range(4):
-        state, work = prepared.step(state)
+        state, report = prepared.step(state)
         J = np.linalg.det(deformation_gradient(body.mesh, state.x))
         assert np.abs(J - 1).max() < 5e-4  # measured: 1.4e-4 in the first step, less after it
-        assert work.iterations <= iterations
+        assert report.work.iterations <= iterations
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -218,15 +220,17 @@ def test_near_rest_where_the_energy_is_rounding_good_steps_are_taken_whole(d, se
     prepared = stepper(body, 0.07, iterations="converged")
     state = State(0, mesh.points + np.where(body.free_mask[:, None], away, 0.0), 0 * away)
     for _ in range(60):
-        state, work = prepared.step(state)
-        assert work.iterations <= (3 if state.step > 10 else 10)  # measured: 6 in the first step, 2 from the seventh on
+        state, report = prepared.step(state)
+        assert report.work.iterations <= (
+            3 if state.step > 10 else 10
+        )  # measured: 6 in the first step, 2 from the seventh on
     assert np.abs(state.x - mesh.points).max() < 1e-6
 
 
 def test_a_descent_that_finds_no_lower_energy_says_so_and_not_that_iterations_are_missing(monkeypatch):
     """So it ends on a crease of the energy: a bar of jelly of 10 kPa, one cell at s2 + s3 = 0 and tr S = 10."""
     body, state = thrown("3D")
-    monkeypatch.setattr(Converged, "_search", lambda self, terms, slope, stage: terms)
+    monkeypatch.setattr(Converged, "_search", lambda self, terms, slope, stage: None)
     said = r"^Newton did not reach 1e-09 in 1 iterations \(residual .*\); no step lowers the energy .* a stiffer body$"
     with pytest.raises(SolveError, match=said):
         stepper(body, DT, iterations="converged").step(state)

@@ -238,8 +238,8 @@ def test_a_step_builds_no_matrix_and_extracts_rotations_once(matrices, d, method
     X = body.mesh.points
     stepper = SymplecticEuler(body, 1e-3)
     assert len(matrices) == (method == "linear")  # whose forces are that matrix' product
-    _, work = stepper.step(State(0, X, 0 * X))
-    assert work == Work(steps=1, rotations=int(method != "linear"))
+    _, report = stepper.step(State(0, X, 0 * X))
+    assert report.work == Work(steps=1, rotations=int(method != "linear"))
     assert len(matrices) == (method == "linear")
 
 

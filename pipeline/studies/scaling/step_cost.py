@@ -15,9 +15,9 @@ import numpy as np
 
 from pipeline.case import load_case
 from pipeline.linear.choice import factor_bytes
-from pipeline.linear.work import Work
-from pipeline.problem.methods import linear_solvers
 from pipeline.problem.problem import Problem, build
+from pipeline.problem.stage_solvers import list_linear_solvers
+from pipeline.stepping.report import StepReport
 from pipeline.stepping.state import Stepper
 from pipeline.stepping.symplectic_euler import element_limit
 from pipeline.studies.scaling.plain_scipy import PlainStep
@@ -44,7 +44,7 @@ def measured(settings: dict[str, Any]) -> dict[str, Any]:
     stepper, setup, loading = _prepared(problem, settings)
     ms, work = _timed(stepper, problem)
     cells = len(body.mesh.cells)
-    solvers = linear_solvers(body, problem.dt, problem.method)
+    solvers = list_linear_solvers(body, problem.dt, problem.method)
     peak, plain = peak_megabytes(), None  # the peak before plain scipy, which takes more
     if method == "one_solve" and settings["baseline"]:
         ms, plain = _beside_plain(stepper, problem)
@@ -116,11 +116,12 @@ def _seconds(call: Callable[[], object], *, least: int, total: float) -> list[fl
 
 def _timed(stepper: Stepper, problem: Problem) -> tuple[float, dict[str, float]]:
     """Return the median milliseconds of a step and the medians of its work, the first left out."""
-    works, found = list[Work](), list[float]()
+    reports, found = list[StepReport](), list[float]()
     while sum(found) < _LEAST_SECONDS:  # from the start again: a motion that comes to rest costs less
-        found += _seconds(_moving(stepper, problem, works), least=_LEAST_STEPS, total=_SECONDS)
-    names = ("iterations", "linear_iterations", "solves", "rung")
-    medians = {name: float(np.median([getattr(work, name) for work in works[1:]])) for name in names}
+        found += _seconds(_moving(stepper, problem, reports), least=_LEAST_STEPS, total=_SECONDS)
+    names = ("iterations", "linear_iterations", "solves")
+    medians = {name: float(np.median([getattr(report.work, name) for report in reports[1:]])) for name in names}
+    medians["rung"] = float(np.median([report.choice.rung if report.choice else 0 for report in reports[1:]]))
     return 1e3 * float(np.median(found)), medians
 
 
@@ -140,14 +141,14 @@ def _beside_plain(stepper: Stepper, problem: Problem) -> tuple[float, float]:
     return ours, min(theirs)
 
 
-def _moving(stepper: Stepper, problem: Problem, works: list[Work] | None = None) -> Callable[[], None]:
+def _moving(stepper: Stepper, problem: Problem, reports: list[StepReport] | None = None) -> Callable[[], None]:
     state = problem.start
 
     def step() -> None:
         nonlocal state
-        state, work = stepper.step(state)
-        if works is not None:
-            works.append(work)
+        state, report = stepper.step(state)
+        if reports is not None:
+            reports.append(report)
 
     return step
 

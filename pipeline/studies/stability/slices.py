@@ -7,9 +7,9 @@ from typing import Any
 
 from pipeline.case import Case
 from pipeline.mesh.simplex import Mesh
+from pipeline.problem.methods import IMPLICIT_STEPPERS
 
 Settings = dict[str, Any]
-IMPLICIT = ("backward_euler", "bdf2")
 EXPLICIT = "symplectic_euler"
 _KINDS: Mapping[str, Settings] = {
     "linear": {"law": "linear"},
@@ -21,7 +21,9 @@ _KINDS: Mapping[str, Settings] = {
 }
 # every method by its name; an explicit step solves nothing, so that passes mean nothing to it
 METHODS: Mapping[str, Settings] = {
-    f"{kind} {stepper}": {**changes, "stepper": stepper} for stepper in IMPLICIT for kind, changes in _KINDS.items()
+    f"{kind} {stepper}": {**changes, "stepper": stepper}
+    for stepper in IMPLICIT_STEPPERS
+    for kind, changes in _KINDS.items()
 } | {
     f"{kind} {EXPLICIT}": {**_KINDS[kind], "stepper": EXPLICIT, "mass": "lumped"}
     for kind in ("linear", "polar", "gram_schmidt")

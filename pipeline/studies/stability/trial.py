@@ -15,7 +15,7 @@ from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.problem.problem import Problem, build
 from pipeline.run.frame import Frame
 from pipeline.run.frames import frames
-from pipeline.stepping.energy_guard import natural_energy, supports_work
+from pipeline.stepping.energy_guard import natural_energy, work_of_supports
 from pipeline.stepping.state import State
 from pipeline.stepping.symplectic_euler import element_limit
 from pipeline.studies.stability.perturb_mesh import apexes_moved, scrambled
@@ -148,7 +148,7 @@ def _run(problem: Problem) -> Course:
 
 def _supports_work(problem: Problem, before: Frame, after: Frame) -> float:
     assert before.state is not None and after.state is not None
-    return supports_work(problem.body, before.state, after.state, problem.dt)
+    return work_of_supports(problem.body, before.state, after.state, problem.dt)
 
 
 @lru_cache(maxsize=_REFERENCES_KEPT)

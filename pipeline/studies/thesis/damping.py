@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.fem.modes import lowest_frequencies
-from pipeline.problem.methods import STEPPERS
 from pipeline.problem.problem import Problem
+from pipeline.problem.stage_solvers import make_stepper
 from pipeline.stepping.backward_euler import damping_ratio
 from pipeline.stepping.state import State
 
@@ -39,7 +39,7 @@ def mode_damping(problem: Problem, count: int = 6) -> list[Mode]:
 def _measured(problem: Problem, shape: np.ndarray) -> float:
     """Return the damping ratio of four steps that start displaced along a mode."""
     body = replace(problem.body, load=np.zeros_like(problem.body.load), varying_load=None)
-    stepper = STEPPERS[problem.method.stepper](body, problem.dt, problem.method)
+    stepper = make_stepper(body, problem.dt, problem.method)
     X = body.mesh.points
     small = 1e-3 * body.mesh.size / np.abs(shape).max()
     weighted = body.momentum(shape) / small

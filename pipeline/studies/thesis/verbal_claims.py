@@ -12,7 +12,8 @@ from pipeline.fem.loads import consistent_mass_pairs
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports
 from pipeline.mesh.shapes import box
-from pipeline.problem.methods import LAWS, ROTATIONS, stage_solver
+from pipeline.problem.methods import LAWS, ROTATIONS
+from pipeline.problem.stage_solvers import make_stage_solver
 from pipeline.series import read_series
 from pipeline.stepping.backward_euler import BackwardEuler
 from pipeline.stepping.state import State
@@ -151,11 +152,11 @@ def _worst_spins() -> dict[str, tuple[float, str]]:
 def spin_energy_growth(axis: np.ndarray, method: MethodSpec, steps: int = 100) -> float:
     """Return the kinetic energy after the steps over that at the start; infinity where a step fails."""
     mesh = box((2.0, 24.0, 4.0), (2, 8, 2))
-    law = LAWS[method.law](Material(1e8, 0.33, 1000.0), ROTATIONS[method.rotation])
+    law = LAWS[method.law].make(Material(1e8, 0.33, 1000.0), ROTATIONS[method.rotation].make)
     body = Body(mesh, law, Supports(np.zeros(0, np.int64)), np.zeros_like(mesh.points), consistent_mass_pairs)
     dt = 0.5
     # without the energy guard, which would stop it
-    stepper = BackwardEuler(body, dt, stage_solver(body, dt, method))
+    stepper = BackwardEuler(body, dt, make_stage_solver(body, dt, method))
     v = 10.0 * np.cross(axis, mesh.points - mesh.points.mean(axis=0))
     state = State(0, mesh.points.copy(), v)
     try:

@@ -16,10 +16,10 @@ from pipeline.errors import SolveError
 from pipeline.fem.modes import lowest_frequencies
 from pipeline.problem.methods import STEPPERS
 from pipeline.problem.problem import Problem
+from pipeline.problem.stage_solvers import make_stepper
 from pipeline.stepping.state import State
 from pipeline.studies.tradeoff.motion import built
 
-ORDERS = {"backward_euler": 1, "bdf2": 2}
 _FIRST = 64  # steps a period
 _MOST = 1_000_000
 _RUNS = 12
@@ -48,7 +48,7 @@ def steps_a_period(settings: Mapping[str, Any]) -> dict[str, Any]:
         best = min(reached, default=_MOST)
         if best - missed <= max(1, best // 100):  # to 1 %
             return {"steps": best, "error": reached[best], "omega": omega}
-        guess = ceil(count * (found / tolerance) ** (1 / ORDERS[stepper]) * 1.001)
+        guess = ceil(count * (found / tolerance) ** (1 / STEPPERS[stepper].order) * 1.001)
         count = guess if missed < guess < best else (missed + best + 1) // 2
     raise SolveError(f"the first mode is not followed to {tolerance:g} by {missed} steps of {stepper} a period")
 
@@ -57,7 +57,7 @@ def period_error(problem: Problem, mode: np.ndarray, omega: float, count: int) -
     """Return |z(T) - z(0)| / |z(0)| after `count` steps over one period of a mode (n, d)."""
     body = replace(problem.body, load=np.zeros_like(problem.body.load), varying_load=None)
     dt = 2 * pi / omega / count
-    stepper = STEPPERS[problem.method.stepper](body, dt, problem.method)
+    stepper = make_stepper(body, dt, problem.method)
     X = body.mesh.points
     scale = 1e-3 * body.mesh.size / np.abs(mode).max()  # the body is linear: any size does
     state = State(0, X + scale * mode, np.zeros_like(X))

@@ -72,8 +72,8 @@ def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:
         "setup_seconds": statistics.median(setup),
         "repeats": len(seconds),
         "work": {name: getattr(total, name) for name in COUNTS},
-        "indicator": total.indicator,
-        "rung": total.rung,
+        "indicator": max((float(frame.known.get("indicator", 0.0)) for frame in seen), default=0.0),
+        "rung": max((int(frame.known.get("rung", 0)) for frame in seen), default=0),
     }
 
 

@@ -16,10 +16,10 @@ import numpy as np
 from pipeline.arrays import Ints
 from pipeline.case import Case
 from pipeline.case.specs import ONLY_VARIANT, MeshSpec
-from pipeline.problem.methods import STEP_LIMITS
+from pipeline.problem.methods import IMPLICIT_STEPPERS, STEP_LIMITS, find_traits
 from pipeline.problem.problem import build, resolve_mass
 
-IMPLICIT = ("backward_euler", "bdf2")
+IMPLICIT = IMPLICIT_STEPPERS
 CONVERGED = ("corotational", "polar", "converged")
 AUTO = ("auto", "none", "none")
 LINEAR = ("linear", "none", "none")
@@ -106,8 +106,9 @@ class Plan:
         """Return the setting of the case itself, as near as the plan has it."""
         method, mass = self.case.method, self.case.method.mass
         stepper = method.stepper if method.stepper in IMPLICIT else "bdf2"
-        if method.model == "auto" or method.law == "linear":
-            return Setting(1, mass, stepper, self.dt, *(AUTO if method.model == "auto" else LINEAR))
+        traits = find_traits(method)
+        if traits.chooses_model or traits.is_linear:
+            return Setting(1, mass, stepper, self.dt, *(AUTO if traits.chooses_model else LINEAR))
         one = Setting(1, mass, stepper, self.dt, "corotational", method.rotation, str(method.iterations))
         return one if one in self.settings else one.converged()
 
@@ -126,7 +127,7 @@ def planned(
     Raises CaseError where steps or refinements do not fit it.
     """
     build(case.model_copy(update={"variants": {}}).variant(ONLY_VARIANT))  # what is wrong with it is told now
-    explicit = case.method.stepper in STEP_LIMITS
+    explicit = find_traits(case.method).is_explicit
     schedule = case.schedule
     # an explicit case's own step says nothing of what implicit ones can take; its frames do
     dt = schedule.dt * (schedule.steps_per_frame if explicit else 1)

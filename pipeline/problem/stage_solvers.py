@@ -1,0 +1,118 @@
+"""Steppers made from a method: their stage solvers, linear solvers and treatments, by the tables of methods.py."""
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from pipeline.arrays import Floats
+from pipeline.case import MethodSpec
+from pipeline.fem.body import Body
+from pipeline.fem.compiled_body import make_body
+from pipeline.fem.laws import Linear, Tangent
+from pipeline.fem.rotation import polar
+from pipeline.linear.banded import band_of
+from pipeline.linear.choice import LinearSolver, choice
+from pipeline.linear.pardiso import library
+from pipeline.linear.rest_preconditioner import Rest, factor_kind
+from pipeline.problem.methods import INVERSIONS, LINEAR_SOLVERS, STEPPERS, find_traits
+from pipeline.stepping.auto import Auto
+from pipeline.stepping.energy_guard import EnergyGuard
+from pipeline.stepping.inversion import Treatment
+from pipeline.stepping.newton import Converged, NewtonLimits
+from pipeline.stepping.stage import FrozenPasses, Prefactored, StageSolver
+from pipeline.stepping.state import Stepper
+
+
+@dataclass(frozen=True, eq=False)
+class MethodParts:
+    """Makes the parts of a stepper that a method names."""
+
+    body: Body
+    method: MethodSpec
+
+    def make_stage_solver(self, h: float) -> StageSolver:
+        """Return a new solver of implicit stages of size h [s]."""
+        return make_stage_solver(self.body, h, self.method)
+
+    def make_treatment(self) -> Treatment | None:
+        """Return the treatment of inverted cells, None if the law treats them itself."""
+        make = INVERSIONS[self.method.inversion].make
+        if make is None:
+            return None
+        polar(np.eye(self.body.mesh.dimension)[None])  # its kernel is compiled, or loaded, here
+        return make()
+
+
+def make_stepper(body: Body, dt: float, method: MethodSpec) -> Stepper:
+    """Return the stepper of a method, watched by the energy guard unless its energy is bounded by construction."""
+    traits = find_traits(method)
+    stepper = STEPPERS[method.stepper].make(body, dt, MethodParts(body, method))
+    converges = body.law.constant_tangent or traits.is_converged
+    bounded = converges and not traits.is_explicit and not traits.chooses_model
+    return stepper if bounded else EnergyGuard(body, stepper)
+
+
+def make_stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
+    """Return the solver of implicit stages of size h [s] that the body's law and the method's iterations need."""
+    if body.law.constant_tangent:
+        body.rehearse()
+        return Prefactored(body, _make_linear_solver(body, h, method, constant=True), h)
+    traits = find_traits(method)
+    solver = _make_linear_solver(body, h, method, constant=False)
+    body.rehearse(turning=traits.chooses_model, tangents=traits.is_converged)
+    limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
+    if traits.chooses_model:
+        # the linear rung keeps its factor, so it has a solver of its own
+        linear = make_body(
+            body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs, body.varying_load
+        )
+        linear.rehearse()
+        prefactored = Prefactored(linear, _make_linear_solver(body, h, method, constant=True), h)
+        newton = Converged(body, solver, limits)
+        return Auto(body, prefactored, FrozenPasses(body, solver, 1), newton, method.volume_tolerance)
+    if isinstance(method.iterations, int):
+        return FrozenPasses(body, solver, method.iterations)
+    return Converged(body, solver, limits)
+
+
+def list_linear_solvers(body: Body, h: float, method: MethodSpec) -> list[dict[str, str]]:
+    """Return name and reason of the linear solvers that a method uses on a body: none if it is explicit.
+
+    A method that chooses its model has two, one for the linear law and one for the others.
+    """
+    traits = find_traits(method)
+    if traits.is_explicit:
+        return []
+    if method.linear_solver == "pardiso" and library() is None:
+        return [{"name": "superlu", "reason": "the case names pardiso; MKL is not installed"}]
+    if method.linear_solver == "warped":
+        kind = factor_kind(band_of(body.free_pattern).megabytes)
+        return [{"name": "warped", "reason": f"the case names it; the factor at rest is {kind}"}]
+    if LINEAR_SOLVERS[method.linear_solver].make is not None:
+        return [{"name": method.linear_solver, "reason": "the case names it"}]
+    kinds = [True, False] if traits.chooses_model else [body.law.constant_tangent]
+    return [dict(zip(("name", "reason"), _choose_by_size(body, h, constant=kind), strict=True)) for kind in kinds]
+
+
+def _make_linear_solver(body: Body, h: float, method: MethodSpec, *, constant: bool) -> LinearSolver:
+    make = LINEAR_SOLVERS[method.linear_solver].make
+    if make is None:
+        make = LINEAR_SOLVERS[_choose_by_size(body, h, constant=constant)[0]].make
+        assert make is not None  # the choice is by name of one of the others
+    return make(body.free_pattern, method.linear_rtol, _describe_rest(body, h))
+
+
+def _choose_by_size(body: Body, h: float, *, constant: bool) -> tuple[str, str]:
+    return choice(body.free_pattern, constant=constant, stiffness=h * body.frequency_bound)
+
+
+def _describe_rest(body: Body, h: float) -> Rest:
+    """Return the free nodes at rest, and the function that assembles the values of M + h^2 K there."""
+
+    def values() -> Floats:
+        A = np.empty_like(body.mass)
+        body.system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
+        return A[: body.free_pattern.blocks]
+
+    return Rest(body.mesh.points[body.free], values)
