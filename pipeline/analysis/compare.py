@@ -107,7 +107,7 @@ class ComparisonPlan(NamedTuple):
     @property
     def title(self) -> str:
         """Return the names of the series as a phrase."""
-        names = [one.name for one in self.series]
+        names = [s.name for s in self.series]
         return " and ".join([", ".join(names[:-1]), names[-1]])
 
 
@@ -148,7 +148,7 @@ def join_series(
     Only numbers that all series have are joined, those of cells only if the cells are the same. `on_time(done, times)`
     is called while nodes are compared. Raises SeriesError, OutputError.
     """
-    labels = [one.name for one in plan.series]
+    labels = [s.name for s in plan.series]
     with _open_statistics(dict(zip(labels, statistics, strict=True))) as files, _write_to(path) as hidden:
         names = [
             name
@@ -269,7 +269,7 @@ def _have_same_cells(series: Sequence[Series], *, difference: bool) -> bool:
 
 def _choose_times(series: Sequence[Series]) -> tuple[Floats, tuple[str, ...]]:
     """Return the times of a comparison [s], and a note if they are not those of every series."""
-    times = [np.asarray(one.times, dtype=np.float64) for one in series]
+    times = [np.asarray(s.times, dtype=np.float64) for s in series]
     if all(are_same_times(t, times[0]) for t in times):
         return times[0], ()
     start, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
@@ -277,7 +277,7 @@ def _choose_times(series: Sequence[Series]) -> tuple[Floats, tuple[str, ...]]:
     inside = [t[(t >= start - slack) & (t <= end + slack)] for t in times]
     fewest = min(range(len(series)), key=lambda i: (len(inside[i]) or np.inf, i))
     if not len(inside[fewest]):
-        spans = ", ".join(f"{one.name} {t[0]:g} to {t[-1]:g} s" for one, t in zip(series, times, strict=True))
+        spans = ", ".join(f"{s.name} {t[0]:g} to {t[-1]:g} s" for s, t in zip(series, times, strict=True))
         raise SeriesError(f"no frame lies in the time that all series cover: {spans}")
     return inside[fewest], (
         f"the times differ: the comparison has the {len(inside[fewest])} of {series[fewest].name} from {start:g} to "

@@ -71,7 +71,7 @@ def write_node_distances(
     All series have the cells of the first. Velocities are compared if the first and another series have them, and are
     NaN for a series without. `on_time(done, times)` is called after each time.
     """
-    motions, first = [NodeMotion(one) for one in series], series[0]
+    motions, first = [NodeMotion(s) for s in series], series[0]
     moving = [motion.interpolate(float(times[0]))[1] is not None for motion in motions]
     names = [name for name in _VARIABLES if name != "velocity_difference" or (moving[0] and any(moving[1:]))]
     _create_variables(out, names, first)
@@ -79,20 +79,20 @@ def write_node_distances(
     for k, time in enumerate(times.tolist()):
         states = [motion.interpolate(time) for motion in motions]
         x0, v0 = states[0]
-        for m, (one, (x, v)) in enumerate(zip(series, states, strict=True)):
+        for m, (s, (x, v)) in enumerate(zip(series, states, strict=True)):
             distance = np.linalg.norm(x - x0, axis=1)
             rms, worst = float(np.sqrt(np.mean(distance**2))), int(distance.argmax())
-            moved = (x - one.mesh.points) - (x0 - first.mesh.points)
+            moved = (x - s.mesh.points) - (x0 - first.mesh.points)
             row = {"displacement_difference": spatial(moved), "node_distance_worst": distance[worst],
                    "node_distance_rms": rms}  # fmt: skip
             row["velocity_difference"] = np.nan if v is None or v0 is None else spatial(v - v0)
             for name in names:
                 out[name][m, k] = row[name]
-            now = NodeDistance(one.name, float(distance[worst]), one.layout.find_point(worst), time, rms, time)
-            largest[one.name] = _take_larger(largest.get(one.name, now), now)
+            now = NodeDistance(s.name, float(distance[worst]), s.layout.find_point(worst), time, rms, time)
+            largest[s.name] = _take_larger(largest.get(s.name, now), now)
         if on_time is not None:
             on_time(k + 1, len(times))
-    return tuple(largest[one.name] for one in series[1:])
+    return tuple(largest[s.name] for s in series[1:])
 
 
 def _create_variables(out: Any, names: list[str], first: Series) -> None:
@@ -109,5 +109,5 @@ def _create_variables(out: Any, names: list[str], first: Series) -> None:
 
 def _take_larger(before: NodeDistance, now: NodeDistance) -> NodeDistance:
     """Return the larger of two, with the larger RMS of the two."""
-    worst, rms = max(now, before, key=lambda d: d.worst), max(now, before, key=lambda d: d.rms)
+    worst, rms = max(now, before, key=lambda row: row.worst), max(now, before, key=lambda row: row.rms)
     return worst._replace(rms=rms.rms, rms_time=rms.rms_time)

@@ -6,7 +6,7 @@ and movies of long series show some of the frames, and a note says so.
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,8 +37,8 @@ class Analysis:
 
     name: str
     folder: Path
-    files: tuple[Path, ...]
-    notes: tuple[str, ...]
+    files: tuple[Path, ...] = field(repr=False)
+    notes: tuple[str, ...] = field(repr=False)
     frames: int
     worst_volume_ratio: float
     worst_cell: int
@@ -50,9 +50,9 @@ class Comparison:
     """Series side by side: the analysis of each, and the files written about all of them."""
 
     folder: Path
-    files: tuple[Path, ...]
-    notes: tuple[str, ...]
-    analyses: tuple[Analysis, ...]
+    files: tuple[Path, ...] = field(repr=False)
+    notes: tuple[str, ...] = field(repr=False)
+    analyses: tuple[Analysis, ...] = field(repr=False)
     node_distances: tuple[NodeDistance, ...] = ()  # of all but the first, if differences were requested
 
 
@@ -91,13 +91,13 @@ def compare(
     `difference` adds the differences to the first series in cells and nodes (displacement, velocity, distance) and
     distance.png; it raises SeriesError if the cells differ.
     """
-    series = _make_names_distinct([one if isinstance(one, Series) else read_series(one) for one in sources])
+    series = _make_names_distinct([s if isinstance(s, Series) else read_series(s) for s in sources])
     plan, out = plan_comparison(series, difference=difference), Path(out)
-    analyses = tuple(analyze(one, out / one.name, on_frame=on_frame) for one in series)
+    analyses = tuple(analyze(s, out / s.name, on_frame=on_frame) for s in series)
     path = out / "comparison.nc"
     on_time = _with_name(on_frame, "difference of nodes")
     distances = join_series(plan, [analysis.files[0] for analysis in analyses], path, on_time)
-    files, notes = [path], [*(f"{one.name}: {note}" for one in series for note in one.notes), *plan.notes]
+    files, notes = [path], [*(f"{s.name}: {note}" for s in series for note in s.notes), *plan.notes]
     if plan.same_cells:
         picture, figure_notes = _draw_volume(path, out / "volume.png", plan.title)
         files, notes = [*files, picture], notes + figure_notes
@@ -125,12 +125,12 @@ def _make_names_distinct(series: list[Series]) -> list[Series]:
     if len(series) < 2:
         raise SeriesError(f"a comparison needs two series or more, not {len(series)}")
     names: list[str] = []
-    for one in series:
+    for s in series:
         count = 1
-        while (name := one.name if count == 1 else f"{one.name}_{count}") in names:
+        while (name := s.name if count == 1 else f"{s.name}_{count}") in names:
             count += 1
         names.append(name)
-    return [replace(one, name=name) for one, name in zip(series, names, strict=True)]
+    return [replace(s, name=name) for s, name in zip(series, names, strict=True)]
 
 
 def _draw_volume(path: Path, picture: Path, title: str, name: str | None = None) -> tuple[Path, list[str]]:
@@ -175,13 +175,13 @@ def _draw_movie(
     from pipeline.views.movie.movie import write_movie
 
     drawn, notes = [], []
-    for one in series:
-        frames = np.unique(np.linspace(0, len(one) - 1, min(len(one), _DRAWN_FRAMES)).round().astype(int)).tolist()
-        if len(frames) < len(one):
-            notes.append(f"{path.name} shows {len(frames)} of the {len(one)} frames of {one.name}")
-        drawn.append(one.select_frames(frames))
-    span = max(one.times[-1] for one in drawn) - min(one.times[0] for one in drawn)
-    poster, labels = path.with_suffix(".png"), [one.name for one in series]
+    for s in series:
+        frames = np.unique(np.linspace(0, len(s) - 1, min(len(s), _DRAWN_FRAMES)).round().astype(int)).tolist()
+        if len(frames) < len(s):
+            notes.append(f"{path.name} shows {len(frames)} of the {len(s)} frames of {s.name}")
+        drawn.append(s.select_frames(frames))
+    span = max(s.times[-1] for s in drawn) - min(s.times[0] for s in drawn)
+    poster, labels = path.with_suffix(".png"), [s.name for s in series]
     write_movie(
         drawn, labels, path, title=title, poster=poster, speed=max(1.0, span / _FILM_SECONDS), on_frame=on_drawing
     )

@@ -43,18 +43,18 @@ class DeformationAccessor:
 
     def volume_ratio(self) -> "xarray.DataArray":
         """Return the volume ratio of every cell in every frame (time, cell)."""
-        return self._stack("volume_ratio", [ratio for _, ratio in self._ratios(self.mesh())])
+        return self._stack("volume_ratio", [ratio for _, ratio in self._iterate_ratios(self.mesh())])
 
     def rotation_angle(self) -> "xarray.DataArray":
         """Return the angle of the polar rotation of every cell in every frame (time, cell) [degree]."""
         mesh = self.mesh()
-        rows = [np.degrees(volumes_and_angles(mesh, x)[1]) for x in self._positions(mesh)]
+        rows = [np.degrees(volumes_and_angles(mesh, x)[1]) for x in self._iterate_positions(mesh)]
         return self._stack("rotation_angle", rows)
 
     def worst(self) -> Worst:
         """Return the largest deviation |V / V0 - 1| of a cell, with that cell and its time."""
         mesh, worst = self.mesh(), Worst(1.0, 0, float(self._dataset["time"][0]))
-        for time, ratio in self._ratios(mesh):
+        for time, ratio in self._iterate_ratios(mesh):
             cell = int(np.abs(ratio - 1).argmax())
             if abs(ratio[cell] - 1) > abs(worst.volume_ratio - 1):
                 worst = Worst(float(ratio[cell]), cell, time)
@@ -108,13 +108,13 @@ class DeformationAccessor:
         """Write the dataset as NAME.pvd with a folder NAME of .vtu files; return the index. See write_pvd_series."""
         return write_pvd_series(self._dataset, path)
 
-    def _positions(self, mesh: Mesh) -> Iterator[Floats]:
+    def _iterate_positions(self, mesh: Mesh) -> Iterator[Floats]:
         field = self._dataset["displacement"].transpose("time", "node", "axis")
         return (mesh.points + field[i].values[:, : mesh.dimension] for i in range(field.sizes["time"]))
 
-    def _ratios(self, mesh: Mesh) -> Iterator[tuple[float, Floats]]:
+    def _iterate_ratios(self, mesh: Mesh) -> Iterator[tuple[float, Floats]]:
         times = self._dataset["time"].values.tolist()
-        ratios = (signed_volumes(x, mesh.cells) / mesh.rest_volumes for x in self._positions(mesh))
+        ratios = (signed_volumes(x, mesh.cells) / mesh.rest_volumes for x in self._iterate_positions(mesh))
         return zip(times, ratios, strict=True)
 
     def _stack(self, name: str, rows: list[Floats]) -> "xarray.DataArray":

@@ -31,12 +31,12 @@ def write_pvd_series(dataset: "xarray.Dataset", path: str | os.PathLike[str]) ->
     it; OutputError if it cannot write.
     """
     path, mesh = Path(path), read_mesh(dataset)
-    strange = [str(name) for name, v in dataset.data_vars.items() if name not in STATIC and not _fits_frames(v)]
+    strange = [str(name) for name, field in dataset.data_vars.items() if name not in STATIC and not _fits_frames(field)]
     if strange:
         raise SeriesError(f"{path}: frames cannot hold {', '.join(strange)}; drop_vars them, or put time first")
     rest, moving = dataset["rest_position"].values, dataset.drop_vars(STATIC)
     static, entries = encode_static_parts(mesh.cells, rest), []
-    attributes = {str(name): v.attrs for name, v in dataset.variables.items()} | {"": dataset.attrs}
+    attributes = {str(name): variable.attrs for name, variable in dataset.variables.items()} | {"": dataset.attrs}
     first = {ATTRIBUTES: np.array([json.dumps(attributes, default=_to_json).encode()])}
     for index, (time, fields) in enumerate(_iterate_frames(moving, rest)):
         name = f"{path.stem}/frame_{index:06d}.vtu"
@@ -52,7 +52,7 @@ def _iterate_frames(moving: "xarray.Dataset", rest: Floats) -> Iterator[tuple[fl
     """Yield time [s] and fields of each frame; frames are read in blocks, which is faster than one by one."""
     count = moving.sizes["time"]
     block = max(1, _BLOCK_BYTES * count // max(1, moving.nbytes))
-    kinds = {str(name): v.dims[1:2] for name, v in moving.data_vars.items()}
+    kinds = {str(name): field.dims[1:2] for name, field in moving.data_vars.items()}
     for start in range(0, count, block):
         part = moving.isel(time=slice(start, start + block))
         values = {name: part[name].values for name in kinds}

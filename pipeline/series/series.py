@@ -23,7 +23,7 @@ _LENGTHS = {(): 1, ("axis",): len(AXES), ("quantile",): len(QUANTILES)}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Series:
-    """The frames of a series: where each one is, in the order of their times, and how the files are read."""
+    """The frames of a series: the place of each in the order of time, and how the files are read."""
 
     name: str
     folder: Path
@@ -91,7 +91,7 @@ class Series:
             if value.size == _LENGTHS.get(dims):
                 known[name] = value.reshape([-1] if dims else [])
         step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
-        return Frame(index, self.members[index].time, self.mesh, x, step=step, v=self._velocity(grid), known=known)
+        return Frame(index, self.members[index].time, self.mesh, x, step=step, v=self._read_velocity(grid), known=known)
 
     def read_positions(self, index: int, grid: Grid | None = None) -> Floats:
         """Return the positions (n, d) of one frame, read from its file now; raises SeriesError as `read_frame`."""
@@ -99,7 +99,7 @@ class Series:
         where = f"{member.file}, t = {member.time:g} s"
         return self.layout.compute_positions(self.read_grid(index) if grid is None else grid, where)
 
-    def _velocity(self, grid: Grid) -> Floats | None:
+    def _read_velocity(self, grid: Grid) -> Floats | None:
         v, d = grid.point_data.get("velocity"), self.mesh.dimension
         if v is None or v.ndim != 2 or v.shape[1] < d:
             return None

@@ -19,13 +19,15 @@ from xarray.core import indexing
 
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.grid import Grid
+from pipeline.formats.pvd import INDEX_SUFFIXES
+from pipeline.formats.readers import SUFFIXES, TEMPORAL_SUFFIXES
 from pipeline.run.measures import AXES, STEPS, attributes, spatial
 from pipeline.series.accessor import DeformationAccessor
 from pipeline.series.dataset_layout import ATTRIBUTES, STATIC, describe_field
 from pipeline.series.series import Series, open_series
 
-_SUFFIXES = (".pvd", ".vtu", ".pvtu", ".vtk", ".vtkhdf", ".xdmf", ".series")
-_KEPT_BYTES = 1 << 25  # 32 MB: 1000 frames of a few hundred cells, two of a million
+_SUFFIXES = (*INDEX_SUFFIXES, *TEMPORAL_SUFFIXES, *SUFFIXES)
+_CACHE_BYTES = 1 << 25  # 32 MB: 1000 frames of a few hundred cells, two of a million
 _DIMENSIONS = {"point": ("node",), "cell": ("cell",), "field": ()}  # of a kind of field, after time
 
 
@@ -37,7 +39,7 @@ class SeriesBackend(BackendEntrypoint):
     open_dataset_parameters = ("filename_or_obj", "drop_variables", "displacement", "rest", "strict")
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Return whether the suffix is one of a series."""
+        """Return whether the suffix is that of a series."""
         return isinstance(filename_or_obj, str | PathLike) and Path(filename_or_obj).suffix in _SUFFIXES
 
     def open_dataset(
@@ -53,7 +55,7 @@ class SeriesBackend(BackendEntrypoint):
 class FrameStore:
     """The frames of a series; the last ones are cached, so that several fields of one frame cost one read.
 
-    The last two are cached, and as many more as fit into `_KEPT_BYTES`: fields are read one after the other, each in
+    The last two are cached, and as many more as fit into `_CACHE_BYTES`: fields are read one after the other, each in
     all frames.
     """
 
@@ -79,7 +81,7 @@ class FrameStore:
         """Return the grid with the cells of the first frame, and cache it."""
         self._cache[index] = grid = grid.share_cells(self.series.layout.grid)
         self._bytes += grid.nbytes
-        while len(self._cache) > 2 and self._bytes > _KEPT_BYTES:
+        while len(self._cache) > 2 and self._bytes > _CACHE_BYTES:
             self._bytes -= self._cache.popitem(last=False)[1].nbytes
         return grid
 

@@ -310,7 +310,7 @@ def test_all_fields_cost_one_reading_of_each_frame(tmp_path, monkeypatch):
     open_lazily(source).load()
     assert counts.count("f1.vtu") <= 2  # once to see whether the points move
     counts.clear()
-    monkeypatch.setattr(engine, "_KEPT_BYTES", 0)  # a series that is too long
+    monkeypatch.setattr(engine, "_CACHE_BYTES", 0)  # a series that is too long
     open_lazily(source).load()
     assert counts.count("f1.vtu") == 3
 
@@ -325,7 +325,7 @@ def test_points_are_counted_and_cells_held_once(tmp_path, monkeypatch, mode):
     assert POINTS.nbytes <= size < 1.5 * POINTS.nbytes  # in base64 where it is inline
     for name in ("types", "offsets", "connectivity"):
         assert len({id(getattr(grid, name)) for grid in grids}) == 1
-    monkeypatch.setattr(engine, "_KEPT_BYTES", 5 * size)
+    monkeypatch.setattr(engine, "_CACHE_BYTES", 5 * size)
     store = engine.FrameStore(read_series(tmp_path), SerializableLock())
     for i in range(12):
         store.read_grid(i)
