@@ -1,5 +1,6 @@
-"""A case to its result folder: every variant solved and recorded, then compared and drawn."""
+"""From a case to its result folder: every variant is solved and recorded, then all are compared and drawn."""
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +30,7 @@ from pipeline.system.version import VERSION
 
 @dataclass(frozen=True)
 class CaseResult:
-    """All variants asked for, the pictures and datasets made of them, and what there is to say."""
+    """The results of a run: its variants, the datasets and pictures of all of them, and notes for the user."""
 
     folder: Path
     variants: tuple[VariantResult, ...]
@@ -38,13 +39,13 @@ class CaseResult:
 
     @property
     def exit_code(self) -> int:
-        """Return 3 where a variant failed, else 0."""
+        """Return 3 if a variant failed, else 0."""
         return SolveError.exit_code if any(v.status == "failed" for v in self.variants) else 0
 
 
 def run_case(
-    case: Case,
-    out: Path,
+    case: Case | str | os.PathLike[str],
+    out: str | os.PathLike[str] = "outputs",
     *,
     variants: Sequence[str] = (),
     force: bool = False,
@@ -54,56 +55,60 @@ def run_case(
     on_start: Callable[[str, Problem], None] | None = None,
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> CaseResult:
-    """Solve the variants asked for (default: all) into out/<case name>/ and compare every finished one.
+    """Solve variants of a case (all by default) into out/<case name>/ and compare every finished one.
 
-    `on_start` is told of a variant before its matrices are factored and, once a machine, its kernels compiled.
-    `resume` goes on with an unfinished result where it stopped. Raises CaseError before anything is solved where a
-    variant cannot be built, where a folder holds another case's result or an unfinished one and neither force nor
-    resume is given, or where another run writes there; OutputError where files cannot be written; Interrupted after
-    the step at which SIGINT or SIGTERM came.
+    `case` may be the path of a case file. A variant that is up to date is not solved again unless `force` is given;
+    `resume` continues an unfinished one from its last checkpoint; `movie` draws comparison.mp4, which needs OpenGL.
+    `on_start` is called with a variant before its matrices are factored and its kernels compiled, `notify` after each
+    frame, `on_drawing` after each picture of the movie.
+
+    Raises CaseError before anything is solved if a variant cannot be built, if the folder holds the result of another
+    case or an unfinished one (without force or resume), or if another run writes there; OutputError if files cannot be
+    written; Interrupted after the step in which SIGINT or SIGTERM arrived. A variant that fails is part of the result.
     """
+    case = case if isinstance(case, Case) else load_case(case)
     resolved = {name: resolve_mass(case.variant(name)) for name in variants or case.variant_names}
     folder = Path(out) / case.name
-    problems = {name: build(one) for name, one in resolved.items()}
-    for one in resolved.values():
-        ensure_format(one.output.format)
-    with lock_folder(folder) as lock, WriterProcess(keep=lock) as writer, catch_interrupts() as asked:
+    problems = {name: build(variant) for name, variant in resolved.items()}
+    for variant in resolved.values():
+        ensure_format(variant.output.format)
+    with lock_folder(folder) as lock, WriterProcess(keep=lock) as writer, catch_interrupts() as interrupt:
         todo = [
             name
-            for name, one in resolved.items()
-            if _must_solve(one, problems[name], folder / name, force=force, resume=resume)
+            for name, variant in resolved.items()
+            if _must_solve(variant, problems[name], folder / name, force=force, resume=resume)
         ]
         check_disk_space(folder, {name: (problems[name], resolved[name].output) for name in todo})
         redraw = _is_movie_changed(case, folder)
-        for name in MOVIE_FILES if redraw else ():  # before case.toml changes: an interruption leaves no old movie
+        for name in MOVIE_FILES if redraw else ():  # before case.toml changes: no outdated movie is left
             (folder / name).unlink(missing_ok=True)
         write_whole(folder / "case.toml", case.to_toml(folder))
         results = []
-        for name, one in resolved.items():
+        for name, variant in resolved.items():
             if name in todo:
                 if on_start is not None:
                     on_start(name, problems[name])
-                solving = VariantRun(one, problems[name], folder / name, asked, writer, notify)
+                solving = VariantRun(variant, problems[name], folder / name, interrupt, writer, notify)
                 results.append(solving.solve(resume=resume and not force))
             else:
                 results.append(VariantResult(name, folder / name, "up to date", read_run(folder / name)))
-            if asked.requested:
-                raise Interrupted(f"interrupted after {name}; the same command with --resume goes on from there")
-        notes = [note for one in results for note in one.run.get("notes", ())]
+            if interrupt.requested:
+                raise Interrupted(f"interrupted after {name}; the same command with --resume continues from there")
+        notes = [note for result in results for note in result.run.get("notes", ())]
         made, more = compare_variants(case, folder, movie=movie, on_drawing=on_drawing, fresh=bool(todo) or redraw)
     return CaseResult(folder, tuple(results), tuple(made), tuple(dict.fromkeys([*notes, *more])))
 
 
 def _is_movie_changed(case: Case, folder: Path) -> bool:
-    """Return whether the folder's pictures are of another [movie] table, whose title is on the plots too."""
+    """Return whether the pictures in the folder were made with another [movie] table; its title is on the plots too."""
     try:
         return load_case(folder / "case.toml").movie != case.movie
-    except CaseError:  # there is none yet, or none that can be read
+    except CaseError:  # missing or unreadable
         return True
 
 
 def _must_solve(case: Case, problem: Problem, folder: Path, *, force: bool, resume: bool) -> bool:
-    """Return whether a variant is to be solved; raises CaseError where that would overwrite without leave."""
+    """Return whether a variant needs solving; raises CaseError if that would overwrite a result without permission."""
     run = {} if force else read_run(folder)
     if not run:
         return True
@@ -113,13 +118,11 @@ def _must_solve(case: Case, problem: Problem, folder: Path, *, force: bool, resu
     if run["status"] not in UNFINISHED:
         return bool(run["status"] != "finished" or run["versions"]["pipeline"] != VERSION)
     if not resume:
-        raise CaseError(
-            f"{folder}: an unfinished run of this case; --resume goes on where it stopped, --force starts it again"
-        )
+        raise CaseError(f"{folder}: an unfinished run of this case; --resume continues it, --force starts again")
     changes = describe_difference(
         {"pipeline": run["versions"]["pipeline"], "mesh": run.get("mesh_digest")},
         {"pipeline": VERSION, "mesh": digest_mesh(problem.body.mesh)},
     )
     if changes:
-        raise CaseError(f"{folder}: cannot go on with another version or mesh ({changes}); --force starts it again")
+        raise CaseError(f"{folder}: cannot continue with another version or mesh ({changes}); --force starts again")
     return True

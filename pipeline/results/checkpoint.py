@@ -1,8 +1,8 @@
-"""Checkpoints: all that a run needs to go on bit for bit, checksummed, whole or absent, the last two kept.
+"""Checkpoints: everything that a run needs to continue bit for bit, with a checksum; the last two are kept.
 
-A file is a SHA-256 in hexadecimal, a line of JSON (step, energy guard, effort since the frame before, summary of the
-frames written) and an .npz of float64 arrays. It is written after a step and before that step's frame: every frame of
-an earlier step is on the disk then.
+A file is a SHA-256 in hexadecimal, a line of JSON (step, energy guard, effort since the last frame, summary of the
+frames written) and an .npz of float64 arrays. It is written after a step and before that step's frame, when every frame
+of an earlier step is on the disk.
 """
 
 import io
@@ -30,7 +30,7 @@ _OWNERS = ("stepper", "inversion")  # of the arrays in a memory: stored as "owne
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A state, the effort since the frame before it, and the summary of the frames written."""
+    """A state, the effort since the last frame and the summary of the frames written."""
 
     state: State
     effort: Effort
@@ -38,15 +38,15 @@ class Checkpoint:
 
 
 class CheckpointFolder:
-    """Keeps the last two checkpoints of a run in a folder, one at most every so many seconds."""
+    """Keeps the last two checkpoints of a run in a folder; at least `seconds` pass between two."""
 
     def __init__(self, folder: Path, *, seconds: float) -> None:
         self.folder = Path(folder)
         self.seconds = seconds
-        self._since: float | None = None  # from the first step on: a set-up that compiles does not count
+        self._since: float | None = None  # counted from the first step: time to compile kernels does not count
 
     def is_due(self, solved: float) -> bool:
-        """Return whether the last one, or the first step's begin, is long enough ago; steps have taken `solved` [s]."""
+        """Return whether a checkpoint is due; `solved` is the solving time since the first step [s]."""
         now = time.monotonic()
         if self._since is None:
             self._since = now - solved
@@ -60,7 +60,7 @@ class CheckpointFolder:
         self._since = time.monotonic()
 
     def iterate_readable(self) -> Iterator[Checkpoint | str]:
-        """Yield the checkpoints, the last one first; in place of one that is damaged, a note that says so."""
+        """Yield the checkpoints, the last one first, and a note in place of a damaged one."""
         for path in self._paths():
             try:
                 yield decode_checkpoint(path.read_bytes())
@@ -68,7 +68,7 @@ class CheckpointFolder:
                 yield f"{path}: damaged ({error}); the checkpoint before it is used instead"
 
     def remove(self) -> None:
-        """Remove the folder: a run that ended needs none."""
+        """Remove the folder, which a run that has ended does not need."""
         try:
             if self.folder.exists():
                 shutil.rmtree(self.folder)
@@ -94,13 +94,13 @@ def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
     }
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **arrays)
-    # repr of a float, which JSON uses, gives the same float back
+    # JSON writes the repr of a float, which reads back as the same float
     body = json.dumps(numbers).encode() + b"\n" + file.getvalue()
     return sha256(body).hexdigest().encode() + b"\n" + body
 
 
 def decode_checkpoint(data: bytes) -> Checkpoint:
-    """Return the checkpoint of a file's bytes; raises ValueError where they are not those that were written."""
+    """Return the checkpoint in the bytes of a file; raises ValueError if they are damaged."""
     checksum, _, body = data.partition(b"\n")
     if sha256(body).hexdigest().encode() != checksum:
         raise ValueError("its checksum is wrong")

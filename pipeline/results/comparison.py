@@ -1,5 +1,6 @@
-"""Every finished variant of a case side by side: comparison.nc, plots and the movie."""
+"""All finished variants of a case side by side: comparison.nc, plots and the movie."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     import xarray
 
 MOVIE_FILES = ("comparison.mp4", "comparison.png")
-_EFFORT = "effort.png"  # where a variant has model = "auto"
+_EFFORT = "effort.png"  # if a variant has model = "auto"
 
 
 def compare_variants(
@@ -30,11 +31,11 @@ def compare_variants(
     fresh: bool = True,
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> tuple[list[Path], list[str]]:
-    """Join and draw every variant in the folder that is a result of this case; return the files made and notes."""
+    """Join and draw every variant in the folder that is a result of this case; return the new files and notes."""
     runs = {name: run for name, run in find_runs(case, folder).items() if run["status"] not in UNFINISHED}
     usable = list(runs)
     if not usable:
-        return [], ["no variant left a frame: nothing to compare"]
+        return [], ["no variant has a frame: nothing to compare"]
     paths = {
         n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png", SCRIPT)
     }
@@ -76,7 +77,7 @@ def _read_steps(path: Path) -> "xarray.Dataset":
 
 
 def _write_paraview_script(folder: Path, dataset: "xarray.Dataset", formats: Mapping[str, str]) -> Path:
-    """Write the script that shows the variants in ParaView, all in the colours of one range."""
+    """Write the script that shows the variants in ParaView, all in one color range."""
     from pipeline.views.track import SAMPLED_CELLS, fit_color_radius
 
     ratio = dataset["volume_ratio"].values[..., :: max(1, dataset.sizes["cell"] // SAMPLED_CELLS)]
@@ -106,7 +107,7 @@ def draw_movie(
 
 
 def find_runs(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
-    """Return run.json of every variant that has frames of this very case, by name."""
+    """Return the run.json of every variant that has frames of exactly this case, by name."""
     runs = {name: read_run(folder / name) for name in case.variant_names}
     return {
         name: run
@@ -116,23 +117,22 @@ def find_runs(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def _has_frames(run: dict[str, Any], folder: Path) -> bool:
-    """Return whether there is a frame; a killed run has not said how many."""
+    """Return whether there is a frame; the run.json of a killed run has no count."""
     return bool(run) and (bool(run.get("frames")) or any((folder / one.index).is_file() for one in FORMATS.values()))
 
 
 def _belongs_to(run: dict[str, Any], case: Case, folder: Path) -> bool:
-    """Return whether a variant's run is one of this case, which may be that in the result folder.
+    """Return whether a run belongs to a variant of this case, or of its copy in the result folder.
 
-    A mesh file is named relative to its case file, so from elsewhere by another text: the variant's own case.toml
-    tells which file it is.
+    The path of a mesh file is relative to the case file and so may differ; the variant's own case.toml has it as well.
     """
     wanted = result_settings(resolve_mass(case.variant(folder.name)))
     if run["case"] == wanted:
         return True
-    kept = folder / "case.toml"
-    if case.mesh_path is None or not kept.is_file():
+    own = folder / "case.toml"
+    if case.mesh_path is None or not own.is_file():
         return False
-    same = load_case(kept).mesh_path
+    same = load_case(own).mesh_path
     return (
         same is not None
         and same.resolve() == case.mesh_path.resolve()
@@ -140,11 +140,12 @@ def _belongs_to(run: dict[str, Any], case: Case, folder: Path) -> bool:
     )
 
 
-def redraw_movie(folder: Path, *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
-    """Draw the movie of a result folder again, from its frames alone; raises PipelineError where it is not one."""
+def redraw_movie(folder: str | os.PathLike[str], *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
+    """Draw the movie of a result folder again from its frames; raises PipelineError if it is not a result folder."""
+    folder = Path(folder)
     case = load_case(folder / "case.toml")
     runs = find_runs(case, folder)
     shown = [name for name in case.movie.variants if name in runs]
     if not shown:
-        raise OutputError(f"{folder}: none of {join_names(case.movie.variants)} has a recorded frame of this case")
+        raise OutputError(f"{folder}: none of {join_names(case.movie.variants)} has a frame of this case")
     return draw_movie(case, folder, shown, on_drawing=on_drawing)

@@ -1,4 +1,4 @@
-"""What a run will take on the disk, and whether there is room for it: known before anything is solved."""
+"""The disk space that a run will need, checked before anything is solved."""
 
 import shutil
 from collections.abc import Mapping
@@ -9,22 +9,22 @@ from pipeline.errors import OutputError
 from pipeline.problem.problem import Problem
 from pipeline.run.measures import QUANTILES
 
-# Fitted to eight scenes of 64 to 10 000 cells: 0.88 to 1.68 of what they took. Numbers of a motion hardly compress:
-# base64 of zlib's best of them is 1.27 of their size. Cells and regular rest points do.
+# Fitted to eight scenes of 64 to 10 000 cells: the estimate is 0.88 to 1.68 of their size. Numbers of a motion hardly
+# compress: base64 of zlib's best is 1.27 of their size. Cells and regular rest points compress well.
 _FRAME_HEAD, _FRAME_CELL = 6500, 7
 _ENCODED = {"vtu": 1.27, "vtkhdf": 1.0}
 _WORD = {"float64": 8, "float32": 4}
-_NUMBERS_A_FRAME = 36 + len(QUANTILES)  # of the whole body, in statistics.nc, in chunks of 256 frames
+_NUMBERS_A_FRAME = 36 + len(QUANTILES)  # per body, in statistics.nc, in chunks of 256 frames
 _CHUNK = 256
 _DATASET_HEAD = 20_000
 _MARGIN = 1.1
 
 
 def estimate_bytes(problem: Problem, output: OutputSpec) -> float:
-    """Return about what the frames and statistics of a problem take, and its share of the comparison."""
+    """Return the estimated size of the frames and statistics of a problem, and of its share of comparison.nc."""
     mesh = problem.body.mesh
     (n, d), e, count = mesh.points.shape, len(mesh.cells), problem.frame_count
-    # position, displacement and velocity of a node; volume, its ratio and the angle of a cell
+    # position, displacement and velocity per node; volume, volume ratio and rotation angle per cell
     numbers = 3 * (d * n + e) * _WORD[output.precision] * _ENCODED[output.format]
     frame = _FRAME_HEAD + numbers + _FRAME_CELL * e
     chunks = -(-count // _CHUNK) * _CHUNK
@@ -33,9 +33,9 @@ def estimate_bytes(problem: Problem, output: OutputSpec) -> float:
 
 
 def check_disk_space(folder: Path, problems: Mapping[str, tuple[Problem, OutputSpec]]) -> None:
-    """Raise OutputError where the variants of a case need more room than there is.
+    """Raise OutputError if the variants of a case need more space than is free.
 
-    What lies in their folders already counts as theirs: it is gone on with, or replaced.
+    Existing files in their folders count as free, since they are continued or replaced.
     """
     needed = sum(max(estimate_bytes(*one) - _measure_folder(folder / name), 0.0) for name, one in problems.items())
     there = next(path for path in (folder, *folder.parents) if path.exists())

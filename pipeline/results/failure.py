@@ -1,4 +1,4 @@
-"""A step that could not be computed: what the body looked like before it, where it was worst, and what may help."""
+"""A step that failed: the state of the body before it, the worst cell, and possible remedies."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,22 +20,22 @@ from pipeline.run.measures import measure, spatial
 from pipeline.stepping.state import State
 
 FILE = "failure.vtu"
-# one solve a step is off by 1/cos^2 of the angle that a cell turns in the step: 3 % at 10 degrees
+# one solve per step is off by 1/cos^2 of the angle that a cell turns in the step: 3 % at 10 degrees
 _TURN = 10.0
-_POOR = 0.1  # quality of a cell; a regular one has 1
-_MOST_DEGREES = 90.0  # of a cell in a step; beyond, an angle says nothing
+_POOR = 0.1  # quality of a cell; a regular cell has 1
+_MOST_DEGREES = 90.0  # rotation of a cell in a step; larger angles are meaningless
 
 
 @dataclass(frozen=True, eq=False)
 class Failure:
-    """The last state before the failing step, and its fields a cell (e,): what a file and a message tell."""
+    """The last state before the failing step and its fields per cell (e,), for the message and failure.vtu."""
 
     problem: Problem
     state: State
     volume_ratio: Floats
     rotation_angle: Floats  # [degree]
     energy_density: Floats  # [J/m3]
-    turn: Floats  # [degree] by which each cell turns in a step with the velocities there are
+    turn: Floats  # [degree] rotation of each cell in a step at the current velocities
     quality: Floats
 
     @property
@@ -44,23 +44,23 @@ class Failure:
         return int(np.abs(self.volume_ratio - 1).argmax())
 
     def message(self, error: SolveError) -> str:
-        """Return what happened, where, and the likeliest remedies, with their numbers, on one line."""
+        """Return one line: what happened, where, and the likeliest remedies with their numbers."""
         cell, step = self.worst, self.state.step
         where = (
             f"after step {step} {int((self.volume_ratio <= 0).sum())} of {len(self.volume_ratio)} cells are inverted, "
             f"the worst, cell {cell}, has volume ratio {self.volume_ratio[cell]:.3g} and quality "
-            f"{self.quality[cell]:.2g} at rest; cells turn by up to {self.turn.max():.3g} degrees a step"
+            f"{self.quality[cell]:.2g} at rest; cells turn by up to {self.turn.max():.3g} degrees per step"
         )
         return f"{error}; {where}; {'; or '.join(self.list_remedies())} ({FILE} shows where)"
 
     def list_remedies(self) -> list[str]:
-        """Return what may help, the likeliest first."""
+        """Return possible remedies, the likeliest first."""
         method, dt = self.problem.method, self.problem.dt
         traits = find_traits(method)
         out = []
         if method.stepper in STEP_LIMITS:
             bound, _ = STEP_LIMITS[method.stepper]
-            out.append(f"{method.stepper} is stable below {bound(self.problem.body):.3g} s at rest: take half of that")
+            out.append(f"{method.stepper} is stable below {bound(self.problem.body):.3g} s at rest: use half of that")
         else:
             turn = min(float(self.turn.max()), _MOST_DEGREES)
             shorter = dt * min(0.5, _TURN / turn if turn else 0.5)
@@ -71,11 +71,11 @@ class Failure:
                 out.append('method.iterations = "converged" with method.rotation = "polar"')
         poor = int(self.quality.argmin())
         if self.quality[poor] < _POOR:
-            out.append(f"a better mesh: the quality of cell {poor} is {self.quality[poor]:.2g}, 1 is regular")
+            out.append(f"a better mesh: the quality of cell {poor} is {self.quality[poor]:.2g} (1 is regular)")
         return out
 
     def record(self) -> dict[str, Any]:
-        """Return the entry of run.json."""
+        """Return the entry for run.json."""
         worst = self.worst
         return {
             "file": FILE,
@@ -110,9 +110,9 @@ class Failure:
 
 
 def examine_failure(problem: Problem, state: State) -> Failure:
-    """Return what can be said of the last state before a step that failed."""
+    """Return the last state before a step that failed, with its fields per cell."""
     body, mesh = problem.body, problem.body.mesh
-    with np.errstate(all="ignore"):  # it may be about to blow up
+    with np.errstate(all="ignore"):  # the values may be huge
         F = deformation_gradient(mesh, state.x)
         ahead = deformation_gradient(mesh, state.x + problem.dt * state.v)
         measured = measure(Frame(0, 0.0, mesh, state.x))

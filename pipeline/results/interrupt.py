@@ -9,18 +9,18 @@ from typing import Any
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run was asked to stop and did so after a step; the message says how to go on."""
+    """A run stopped after a step, as the user requested; the message says how to continue."""
 
 
 @dataclass
 class InterruptRequest:
-    """Whether a signal asked for an end; while `solving` it waits for the step, else it is a KeyboardInterrupt."""
+    """Whether a signal requested an end; while `solving`, the step is finished first, otherwise it ends at once."""
 
     requested: bool = False
     solving: bool = False
 
     def request(self, *_: Any) -> None:
-        """Note that an end is asked for; the second time, or where no step is under way, end at once."""
+        """Record the request; the second time, or outside a step, interrupt at once."""
         if self.requested or not self.solving:
             raise KeyboardInterrupt
         self.requested = True
@@ -28,16 +28,16 @@ class InterruptRequest:
 
 @contextmanager
 def catch_interrupts() -> Iterator[InterruptRequest]:
-    """Yield what SIGINT and SIGTERM set: in the main thread, and where they are not ignored."""
-    asked = InterruptRequest()
+    """Yield the request that SIGINT and SIGTERM set, in the main thread and unless they are ignored."""
+    request = InterruptRequest()
     before = {}
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM):
-            # None: a handler that is not Python's, which could not be put back
+            # None: a handler that is not Python's and could not be restored
             if signal.getsignal(number) not in (signal.SIG_IGN, None):
-                before[number] = signal.signal(number, asked.request)
+                before[number] = signal.signal(number, request.request)
     try:
-        yield asked
+        yield request
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -16,11 +16,11 @@ _STREAMS = 2  # number of the last standard stream: a child process has its own 
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[int]:
-    """Hold the folder against every other run; the system lets go when this process ends, however it does.
+    """Lock the folder against every other run; the system releases it when this process ends in any way.
 
-    Yields the lock's descriptor: a process that inherits it holds the folder as well.
+    Yields the descriptor of the lock: a process that inherits it holds the folder as well.
 
-    Raises CaseError where another run holds it, OutputError where the lock file cannot be made. File systems without
+    Raises CaseError if another run holds it, OutputError if the lock file cannot be created. File systems without
     locks are not locked.
     """
     path = folder / LOCK
@@ -28,7 +28,7 @@ def lock_folder(folder: Path) -> Iterator[int]:
     try:
         yield descriptor
     finally:
-        # removed while it is held: who has opened it meanwhile finds that it is no longer the file of that name
+        # removed while it is held: another run that has opened it finds that the file no longer has that name
         if _is_open_file(descriptor, path):
             with suppress(OSError):  # Windows does not remove open files
                 path.unlink()
@@ -36,7 +36,7 @@ def lock_folder(folder: Path) -> Iterator[int]:
 
 
 def _acquire(path: Path) -> int:
-    """Return the descriptor of the lock file, locked; who holds it is given a moment to end."""
+    """Return the descriptor of the locked lock file; waits a moment for the current holder to end."""
     deadline = time.monotonic() + _PATIENCE
     while True:
         descriptor = _open_lock_file(path)
@@ -62,13 +62,13 @@ def _open_lock_file(path: Path) -> int:
     while descriptor <= _STREAMS:
         low.append(descriptor)
         descriptor = os.dup(descriptor)
-    for one in low:
-        os.close(one)
+    for number in low:
+        os.close(number)
     return descriptor
 
 
 def _try_lock(descriptor: int, path: Path) -> bool:
-    """Return whether the lock is ours and the file still the one of that name; raises CaseError."""
+    """Return whether we hold the lock and the file still has that name; raises CaseError if another run holds it."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -79,7 +79,7 @@ def _try_lock(descriptor: int, path: Path) -> bool:
 
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError) as error:
-        raise CaseError(f"{path.parent}: another run is writing there; wait for it, or use --out") from error
+        raise CaseError(f"{path.parent}: another run is writing there; wait for it or use --out") from error
     except OSError:  # a file system without locks
         return True
     return _is_open_file(descriptor, path)

@@ -1,5 +1,6 @@
-"""report.html of a result: of a case's folder, or of what was found of anybody's series."""
+"""report.html of a result folder, or of an analysis of any series."""
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,17 +20,17 @@ from pipeline.views.html.solids import OnFrameRead
 from pipeline.views.paraview import SCRIPT_NAME as SCRIPT
 
 REPORT = "report.html"
-_AGAIN = "How to make it again"
+_AGAIN = "How to repeat this"
 
 
-def write_report(folder: Path, on_frame: OnFrameRead | None = None) -> Path:
+def write_report(folder: str | os.PathLike[str], on_frame: OnFrameRead | None = None) -> Path:
     """Write report.html of a result folder from its frames and datasets, and return its path.
 
-    `on_frame(variant, done, frames)` is called after each frame that is read.
-
-    Raises CaseError where it is no result folder, OutputError where no variant left a frame or the page cannot be
-    written, SeriesError where frames cannot be read.
+    `on_frame(variant, done, frames)` is called after each frame that is read. Raises CaseError if there is no case.toml
+    in the folder, OutputError if no variant has a frame or the page cannot be written, SeriesError if a frame cannot be
+    read.
     """
+    folder = Path(folder)
     case = load_case(folder / "case.toml")
     runs = {name: run for name, run in find_runs(case, folder).items() if run["status"] not in UNFINISHED}
     missing = [
@@ -58,7 +59,7 @@ def write_report(folder: Path, on_frame: OnFrameRead | None = None) -> Path:
 
 
 def _explain_absence(case: Case, folder: Path, name: str) -> str:
-    """Return why a variant's folder does not count."""
+    """Return why a variant is not shown."""
     run = read_run(folder / name)
     if not run.get("frames") or run["status"] in UNFINISHED:
         return "it is not finished"
@@ -67,7 +68,7 @@ def _explain_absence(case: Case, folder: Path, name: str) -> str:
 
 
 def is_report_current(folder: Path) -> bool:
-    """Return whether a folder has a report.html that is no older than what it was made of."""
+    """Return whether a folder has a report.html that is newer than the files it was made from."""
     page = folder / REPORT
     if not page.is_file():
         return False
@@ -76,64 +77,64 @@ def is_report_current(folder: Path) -> bool:
     return all(path.stat().st_mtime_ns <= made for name in names for path in folder.glob(name))
 
 
-def write_analysis_report(found: Analysis | Comparison, series: Sequence[Series], command: str) -> Path:
-    """Write report.html beside what was found of series, in the same order, and return its path; raises PipelineError.
+def write_analysis_report(analysis: Analysis | Comparison, series: Sequence[Series], command: str) -> Path:
+    """Write report.html into the folder of an analysis of `series` and return its path; raises PipelineError.
 
-    `command` is how it was found and is told in the page.
+    `command` is shown in the page as the way to repeat the analysis.
     """
-    analyses = found.analyses if isinstance(found, Comparison) else (found,)
+    analyses = analysis.analyses if isinstance(analysis, Comparison) else (analysis,)
     sides = tuple(
-        Side(one.name, replace(source, name=one.name), one.folder / "statistics.nc")
-        for one, source in zip(analyses, series, strict=True)
+        Side(part.name, replace(source, name=part.name), part.folder / "statistics.nc")
+        for part, source in zip(analyses, series, strict=True)
     )
-    movie, poster = (found.folder / f"movie.{ending}" for ending in ("mp4", "png"))
-    closing: list[Block] = _list_node_distances(found) if isinstance(found, Comparison) else []
+    movie, poster = (analysis.folder / f"movie.{ending}" for ending in ("mp4", "png"))
+    closing: list[Block] = _list_node_distances(analysis) if isinstance(analysis, Comparison) else []
     closing += [Heading(_AGAIN), CodeListing(command), Paragraph(f"Measured by pipeline {VERSION}.")]
     result = PageContent(
-        ", ".join(side.label for side in sides), sides, closing, found.notes,
-        movie if movie in found.files else None, poster if poster in found.files else None,
+        ", ".join(side.label for side in sides), sides, closing, analysis.notes,
+        movie if movie in analysis.files else None, poster if poster in analysis.files else None,
     )  # fmt: skip
-    return write_page(result, found.folder / REPORT)
+    return write_page(result, analysis.folder / REPORT)
 
 
-def _list_node_distances(found: Comparison) -> list[Block]:
-    """Return how far the nodes are from those of the first series, where that was asked for."""
-    if not found.node_distances:
+def _list_node_distances(analysis: Comparison) -> list[Block]:
+    """Return the distances of the nodes from those of the first series, if they were computed."""
+    if not analysis.node_distances:
         return []
     head = ("series", "worst node [m]", "which", "at t [s]", "largest RMS [m]", "at t [s]")
     rows = [
-        (one.name, f"{one.worst:.4g}", str(one.node), f"{one.time:.4g}", f"{one.rms:.4g}", f"{one.rms_time:.4g}")
-        for one in found.node_distances
+        (d.name, f"{d.worst:.4g}", str(d.node), f"{d.time:.4g}", f"{d.rms:.4g}", f"{d.rms_time:.4g}")
+        for d in analysis.node_distances
     ]
-    text = f"How far the nodes are from those of {found.analyses[0].name}; distance.png has it over time."
-    return [Heading("Difference of nodes"), Paragraph(text), TableBlock(head, rows)]
+    text = f"Distances of the nodes from those of {analysis.analyses[0].name}; distance.png shows them over time."
+    return [Heading("Node distances"), Paragraph(text), TableBlock(head, rows)]
 
 
 def _list_facts(run: Mapping[str, Any]) -> dict[str, str]:
-    """Return what a run says of itself, in texts."""
+    """Return the status and the work of a run as text."""
     facts = {"run": run["status"], "steps": str(run["work"]["steps"]), "solves": str(run["work"]["solves"])}
     if run.get("seconds_per_step"):
-        facts["ms a step"] = f"{1e3 * run['seconds_per_step']:.3g}"
+        facts["ms per step"] = f"{1e3 * run['seconds_per_step']:.3g}"
         facts["times real time"] = f"{run['real_time_factor']:.3g}"
     return facts
 
 
 def _list_settings(case: Case, folder: Path) -> list[Block]:
-    text = "The case as it was run, all defaults written out; it is `case.toml` in the result folder."
+    text = "The case as it was run, with all defaults; it is `case.toml` in the result folder."
     return [Heading("Settings"), Paragraph(text), CodeListing(case.to_toml(folder))]
 
 
 def _list_versions(run: Mapping[str, Any]) -> list[Block]:
     rows = [(name, str(value)) for part in ("versions", "machine") for name, value in run[part].items()]
-    return [Heading("Versions"), TableBlock(("what", "which"), rows)]
+    return [Heading("Versions"), TableBlock(("package or machine", "version"), rows)]
 
 
 def _list_commands(folder: Path) -> list[Block]:
     place = quote(folder.as_posix())
     lines = (
         f"pipeline run {place}/case.toml --out again    # solve the same case again",
-        f"pipeline movie {place}    # draw the movie again, from the frames",
+        f"pipeline movie {place}    # draw the movie again from the frames",
         f"pipeline report {place}    # write this page again",
-        f"paraview --script={place}/{SCRIPT}    # look into every frame",
+        f"paraview --script={place}/{SCRIPT}    # open every frame in ParaView",
     )
     return [Heading(_AGAIN), CodeListing("\n".join(lines))]

@@ -1,4 +1,4 @@
-"""What keeps a result folder whole: one run at a time in it, an end on request, a start from where it stopped."""
+"""Continuing an unfinished run: the last usable checkpoint, and statistics.nc rebuilt from the frames before it."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -27,41 +27,41 @@ CHECKPOINTS = "checkpoints"
 
 
 def digest_mesh(mesh: Mesh) -> str:
-    """Return a checksum of points and cells: a mesh file of the same name may have changed."""
+    """Return a checksum of points and cells, which shows if a mesh file has changed."""
     return sha256(mesh.points.tobytes() + mesh.cells.tobytes()).hexdigest()
 
 
 def prepare_resume(
     folder: Path, problem: Problem, output: OutputSpec, *, title: str
 ) -> tuple[Checkpoint | None, list[str]]:
-    """Return the last checkpoint whose frames are all there, and notes; None where there is no such one.
+    """Return the last checkpoint whose frames all exist, None if there is none, and notes.
 
-    statistics.nc is made anew from the frames before the checkpoint: a killed run may have left it torn. Where the
-    frames are rounded, the values of cells are those of the old file, each held against the frame.
+    statistics.nc is rebuilt from the frames before the checkpoint, since a killed run may have damaged it. If frames
+    are rounded, the values of cells come from the old file and are compared with each frame.
     """
     for hidden in folder.rglob(".*.tmp*"):
         hidden.unlink(missing_ok=True)
     notes = []
-    for found in CheckpointFolder(folder / CHECKPOINTS, seconds=0.0).iterate_readable():
-        if isinstance(found, str):
-            notes.append(found)
+    for checkpoint in CheckpointFolder(folder / CHECKPOINTS, seconds=0.0).iterate_readable():
+        if isinstance(checkpoint, str):
+            notes.append(checkpoint)
             continue
         try:
-            _rebuild_statistics(folder, problem, output, next_frame_index(found, problem), title)
+            _rebuild_statistics(folder, problem, output, next_frame_index(checkpoint, problem), title)
         except SeriesError as error:
-            notes.append(f"the checkpoint of step {found.state.step} cannot be used ({error})")
+            notes.append(f"the checkpoint of step {checkpoint.state.step} cannot be used ({error})")
         else:
-            return found, notes
-    return None, [*notes, f"{folder}: no checkpoint to go on from; solved from the start"]
+            return checkpoint, notes
+    return None, [*notes, f"{folder}: no usable checkpoint; solved from the start"]
 
 
 def next_frame_index(checkpoint: Checkpoint, problem: Problem) -> int:
-    """Return the index of the first frame that is to be written after a checkpoint."""
+    """Return the index of the first frame after a checkpoint."""
     return -(-checkpoint.state.step // problem.steps_per_frame)
 
 
 def frame_times(count: int, problem: Problem) -> list[float]:
-    """Return the times [s] of the first frames, to the bit those that a run gives them."""
+    """Return the times [s] of the first frames, bit for bit as a run computes them."""
     return [index * problem.steps_per_frame * problem.dt for index in range(count)]
 
 

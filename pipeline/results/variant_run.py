@@ -1,4 +1,4 @@
-"""One variant solved and recorded into its folder, from its start or from a checkpoint; run.json says how it ended."""
+"""One variant is solved and recorded into its folder, from the start or a checkpoint; run.json records the outcome."""
 
 import json
 import os
@@ -34,16 +34,16 @@ from pipeline.system.version import VERSION
 
 Status = Literal["finished", "failed", "up to date"]
 Notify = Callable[[str, Problem, Frame, RunSummary], None]
-# of a run that could go on: killed, asked to stop, or stopped by what it could not write
+# runs that can continue: killed, stopped by the user, or stopped because a file could not be written
 UNFINISHED = ("running", "interrupted")
 _COUNTS = ("steps", "solves", "iterations", "linear_iterations", "factorisations", "rotations")
-_ROUNDED = "output.precision = 'float32': statistics.nc cannot be made again from the frames, which are rounded"
+_ROUNDED = "output.precision = 'float32': statistics.nc cannot be rebuilt from the frames, which are rounded"
 _PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
 
 
 @dataclass(frozen=True)
 class VariantResult:
-    """One variant's folder, how it ended, and its run.json."""
+    """The folder of a variant, its outcome, and its run.json."""
 
     name: str
     folder: Path
@@ -52,7 +52,7 @@ class VariantResult:
 
 
 def read_run(folder: Path) -> dict[str, Any]:
-    """Return a variant's run.json, {} where there is none; raises OutputError where it cannot be read."""
+    """Return a variant's run.json, {} if there is none; raises OutputError if it cannot be read."""
     path = folder / "run.json"
     try:
         run = json.loads(path.read_text())
@@ -68,46 +68,47 @@ def read_run(folder: Path) -> dict[str, Any]:
 
 
 def result_settings(case: Case) -> dict[str, Any]:
-    """Return the part of a case that its results depend on: all but the movie and the checkpoints."""
+    """Return the part of a case that its results depend on: everything except the movie and the checkpoints."""
     document = {key: value for key, value in case.as_dict().items() if key != "movie"}
     document["output"] = {k: v for k, v in document["output"].items() if not k.startswith("checkpoint_")}
     return document
 
 
 def describe_difference(old: dict[str, Any], new: dict[str, Any]) -> str:
-    """Return the first three keys at which two cases differ, with both values."""
+    """Return the first three keys in which two cases differ, with both values."""
     before, after = _flatten(old), _flatten(new)
     keys = [key for key in {**before, **after} if before.get(key) != after.get(key)]
-    shown = [f"{key}: {shorten(str(before.get(key)))} there, {shorten(str(after.get(key)))} here" for key in keys[:3]]
-    return "; ".join(shown) + (f"; and {len(keys) - 3} more" if len(keys) > 3 else "")
+    lines = [f"{key}: {shorten(str(before.get(key)))} there, {shorten(str(after.get(key)))} here" for key in keys[:3]]
+    return "; ".join(lines) + (f"; and {len(keys) - 3} more" if len(keys) > 3 else "")
 
 
 def _flatten(value: Any, prefix: str = "") -> dict[str, Any]:
     if not isinstance(value, dict):
         return {prefix: value}
-    return {k: v for key, one in value.items() for k, v in _flatten(one, f"{prefix}.{key}" if prefix else key).items()}
+    inner = (_flatten(entry, f"{prefix}.{key}" if prefix else key) for key, entry in value.items())
+    return {key: entry for entries in inner for key, entry in entries.items()}
 
 
 class VariantRun:
-    """One variant being solved and recorded, from its start or from a checkpoint."""
+    """One variant that is solved and recorded, from the start or from a checkpoint."""
 
     def __init__(
         self,
         case: Case,
         problem: Problem,
         folder: Path,
-        asked: InterruptRequest,
+        interrupt: InterruptRequest,
         writer: WriterProcess,
         notify: Notify | None = None,
     ) -> None:
-        self.case, self.problem, self.folder, self.interrupt, self.notify = case, problem, folder, asked, notify
+        self.case, self.problem, self.folder, self.interrupt, self.notify = case, problem, folder, interrupt, notify
         self.writer = writer
         self.name = case.variant_name or ""
         self.checkpoints = CheckpointFolder(folder / CHECKPOINTS, seconds=case.output.checkpoint_seconds)
         self.summary: RunSummary | None = None
 
     def solve(self, *, resume: bool) -> VariantResult:
-        """Return how it ended; a SolveError is a result, kept in run.json, as is an end that comes too early."""
+        """Solve the variant and return the outcome; a SolveError and an interruption are recorded in run.json."""
         run, began = self._open(resume=resume)
         status: Status = "finished"
         try:
@@ -124,7 +125,7 @@ class VariantRun:
         return VariantResult(self.name, self.folder, status, run)
 
     def _open(self, *, resume: bool) -> tuple[dict[str, Any], Checkpoint | None]:
-        """Return the run.json of a run that begins, and the checkpoint that it goes on from."""
+        """Return the run.json of a run that starts, and the checkpoint from which it continues."""
         old = read_run(self.folder) if resume else {}
         run = _describe_start(self.case, self.problem)
         began = None
@@ -158,7 +159,7 @@ class VariantRun:
         self._last = start or self.problem.start
         self.interrupt.solving = True
         try:
-            # small dense factors gain nothing from BLAS threads, and stall where cores are shared
+            # small dense factors gain nothing from BLAS threads and stall if cores are shared
             with threadpool_limits(limits=1, user_api="blas"):
                 source = frames(self.problem, start, effort=effort, after_step=after_step)
                 drive(source, recording)
@@ -168,14 +169,14 @@ class VariantRun:
                 self.summary = recording.summary
 
     def _describe_failure(self, error: SolveError) -> dict[str, Any]:
-        """Return what run.json says of a failure, after the state before it was written to a file of its own."""
-        if self.summary is None:  # it could not even start
+        """Write the last state before a failure to failure.vtu and return the entries of run.json."""
+        if self.summary is None:  # it failed before the first frame
             return {"message": str(error)}
-        found = examine_failure(self.problem, self._last)
-        message = found.message(error)
-        with suppress(OutputError):  # the frames before it count more than this one
-            found.write(self.folder, message)
-        return {"message": message, "failure": found.record()}
+        failure = examine_failure(self.problem, self._last)
+        message = failure.message(error)
+        with suppress(OutputError):  # not essential: the frames are complete
+            failure.write(self.folder, message)
+        return {"message": message, "failure": failure.record()}
 
     def _on_frame(self, frame: Frame, summary: RunSummary) -> None:
         self.summary = summary
@@ -183,23 +184,24 @@ class VariantRun:
             self.notify(self.name, self.problem, frame, summary)
 
     def _after_step(self, state: State, effort: Effort, writer: Watcher) -> None:
-        """Write a checkpoint where one is due; raises Interrupted where an end was asked for."""
+        """Write a checkpoint if one is due; raises Interrupted if the user requested an end."""
         self._last = state
         frames = self.case.output.checkpoint_frames
         due = self.checkpoints.is_due(effort.work.seconds) or (
             frames and state.step % (frames * self.problem.steps_per_frame) == 0
         )
         if self.interrupt.requested or due:
-            writer.drain()  # a checkpoint says that the frames before it are on the disk
+            writer.drain()  # a checkpoint guarantees that the frames before it are on the disk
             if self.summary is not None:
                 self.checkpoints.write(Checkpoint(state, effort, self.summary))
         if self.interrupt.requested:
             raise Interrupted(
-                f"interrupted after step {state.step} of {self.name}; the same command with --resume goes on from there"
+                f"interrupted after step {state.step} of {self.name}; "
+                "the same command with --resume continues from there"
             )
 
     def _close(self, run: dict[str, Any], status: str) -> dict[str, Any]:
-        """Return the run.json of a run that ended, and write it."""
+        """Write the run.json of a run that ended and return it."""
         run = run | {"status": status} | (_describe_end(self.summary, self.problem) if self.summary else {})
         write_whole(self.folder / "run.json", _to_json(run))
         return run
@@ -210,15 +212,15 @@ class VariantRun:
 
 
 def _note_other_packages(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
-    """Return a note where packages or the machine changed before a run was resumed."""
+    """Return a note if packages or the machine changed before a run was resumed."""
     changes = describe_difference(*({"versions": run["versions"], "machine": run["machine"]} for run in (old, new)))
     return [f"resumed with other packages or on another machine ({changes}): digits may differ"] if changes else []
 
 
 def _clear_folder(folder: Path) -> None:
-    """Remove what an earlier run left, and nothing else."""
+    """Remove the files of an earlier run and nothing else."""
     try:
-        # the record first: without it, what a kill leaves of the rest is cleared again and never resumed
+        # run.json first: without it, files that a kill leaves behind are cleared again and never resumed
         for name in ("run.json", "case.toml", *(one.index for one in FORMATS.values()), "statistics.nc", FAILURE):
             (folder / name).unlink(missing_ok=True)
         for name in (CHECKPOINTS, "frames"):
@@ -262,11 +264,11 @@ def _describe_end(summary: RunSummary, problem: Problem) -> dict[str, Any]:
             "setup": summary.setup_seconds,
             "solving": summary.work.seconds,
             "writing": summary.writing_seconds,
-            # from the first frame on: writing overlaps solving
+            # counted from the first frame; writing overlaps solving
             "wall": summary.wall_seconds,
         },
         "seconds_per_step": per_step if summary.work.steps else None,
-        # simulated seconds a second of solving: above 1 is faster than the motion
+        # simulated time per solving time: above 1 is faster than the motion
         "real_time_factor": problem.dt / per_step if summary.work.steps else None,
     }
 

@@ -50,7 +50,7 @@ def test_without_room_nothing_is_solved_and_both_numbers_are_told(tmp_path, monk
     assert main(["run", str(path), "--out", str(tmp_path / "out"), "--no-movie"]) == 4
     out, err = capfd.readouterr()
     assert out == "" and err.count("\n") == 1
-    assert "3000000003 frames of linear, gram_schmidt, polar need about 29.8 TB" in err and "5 GB are free there" in err
+    assert "3000000003 frames of linear, gram_schmidt, polar need about 29.8 TB" in err and "5 GB are free" in err
     assert [file.name for file in (tmp_path / "out").rglob("*") if file.is_file()] == []
 
 
