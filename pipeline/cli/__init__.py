@@ -12,11 +12,15 @@ from pipeline.errors import PipelineError
 from pipeline.system.version import VERSION
 
 INTERRUPTED = 130
+DESCRIPTION = (
+    "Measure, compare and show how much volume deformable bodies gain or lose; run scenes with linear and corotational "
+    "elasticity."
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    options = _parser().parse_args(arguments)
+    options = _make_parser().parse_args(arguments)
     logging.basicConfig(level=logging.DEBUG if options.verbose else logging.WARNING, format="%(name)s: %(message)s")
     try:
         return int(options.run(options))
@@ -28,22 +32,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MemoryError as error:
         if options.debug:
             raise
-        say(f"PipelineError: the memory does not suffice ({error}); try a coarser mesh")
+        say(f"PipelineError: not enough memory ({error}); try a coarser mesh")
         return PipelineError.exit_code
-    except BrokenPipeError:  # who read the output has enough of it
+    except BrokenPipeError:  # the reader of the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
-    except KeyboardInterrupt as asked:
-        say(str(asked) or "interrupted; frames written so far are complete")
+    except KeyboardInterrupt as interrupt:
+        say(str(interrupt) or "interrupted; frames written so far are complete")
         return INTERRUPTED
 
 
-def _parser() -> argparse.ArgumentParser:
+def _make_parser() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("-v", "--verbose", action="store_true", help="log what is done")
+    common.add_argument("-v", "--verbose", action="store_true", help="log progress")
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    common.add_argument("--quiet", action="store_true", help="no progress bar, no summary")
-    parser = argparse.ArgumentParser(prog="pipeline", description="Volume drift of deformable solids.")
+    common.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
+    parser = argparse.ArgumentParser(
+        prog="pipeline",
+        description=DESCRIPTION,
+    )
     parser.add_argument("--version", action="version", version=f"pipeline {VERSION}")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     for module in (scenes, study, series, page, reference):

@@ -1,4 +1,4 @@
-"""The verbs for a result as a web page: report, view."""
+"""The verbs `report` and `view`: a result as a web page."""
 
 import argparse
 from pathlib import Path
@@ -8,15 +8,17 @@ from pipeline.cli.terminal import progress, say
 
 
 def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
-    """Add what writes and opens report.html."""
+    """Add the verbs `report` and `view`."""
     folder = argparse.ArgumentParser(add_help=False)
     folder.add_argument("folder", metavar="FOLDER", type=Path, help="a result folder, such as outputs/bar")
 
-    report = verbs.add_parser("report", parents=[common, folder], help="write report.html: all of a result in one page")
+    report = verbs.add_parser("report", parents=[common, folder], help="write report.html, a result folder as one page")
     report.set_defaults(run=_report)
 
-    view = verbs.add_parser("view", parents=[common, folder], help="open report.html, made first where it is missing")
-    view.add_argument("--no-open", action="store_true", help="only print where it is")
+    view = verbs.add_parser(
+        "view", parents=[common, folder], help="open report.html, written first if it is missing or outdated"
+    )
+    view.add_argument("--no-open", action="store_true", help="only print its path")
     view.set_defaults(run=_view)
 
 
@@ -24,7 +26,7 @@ def _report(options: argparse.Namespace) -> int:
     from pipeline.results.report import write_report
 
     with progress(options.quiet) as bar:
-        path = write_report(options.folder, bar.read)
+        path = write_report(options.folder, bar.show_reading)
     if not options.quiet:
         print(path)
     return 0
@@ -38,9 +40,9 @@ def _view(options: argparse.Namespace) -> int:
     path = options.folder / REPORT
     if not is_report_current(options.folder):
         with progress(options.quiet) as bar:
-            write_report(options.folder, bar.read)
+            write_report(options.folder, bar.show_reading)
     if not options.quiet:
         print(path)
     if not options.no_open and not webbrowser.open(path.absolute().as_uri()):
-        say(f"note: no browser could be started; open {path} in one")
+        say(f"note: no browser could be started; open {path} in a browser")
     return 0

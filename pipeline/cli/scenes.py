@@ -1,4 +1,4 @@
-"""The verbs for cases and their results: run, check, movie, reproduce, methods."""
+"""The verbs for cases and their results: `run`, `check`, `movie`, `reproduce`, `methods`."""
 
 import argparse
 import json
@@ -10,25 +10,29 @@ from pipeline.cli.terminal import progress, say
 
 
 def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
-    """Add what runs cases and shows what came of them."""
+    """Add the verbs for cases and their results."""
     scene = argparse.ArgumentParser(add_help=False)
     scene.add_argument("case", metavar="CASE", type=Path, help="a case file, such as cases/bar.toml")
     scene.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
                        help="change a key, such as schedule.dt=0.01; may be repeated")  # fmt: skip
     scene.add_argument("--variant", dest="variants", metavar="NAME", action="append", default=[],
                        help="only this variant; may be repeated")  # fmt: skip
-    scene.add_argument("--steps", type=int, metavar="N", help="cut the schedule to N steps")
+    scene.add_argument("--steps", type=int, metavar="N", help="shorten the schedule to N steps")
 
     run = verbs.add_parser("run", parents=[common, scene], help="solve a case; write frames, statistics and a movie")
-    run.add_argument("--out", type=Path, default=Path("outputs"), metavar="DIR", help="where results go (outputs)")
-    run.add_argument("--no-movie", action="store_true", help="no movie, so no OpenGL")
+    run.add_argument(
+        "--out", type=Path, default=Path("outputs"), metavar="DIR", help="folder for results (%(default)s)"
+    )
+    run.add_argument("--no-movie", action="store_true", help="do not draw a movie (needs no OpenGL)")
     over = run.add_mutually_exclusive_group()
-    over.add_argument("--force", action="store_true", help="solve again and replace what is there")
-    over.add_argument("--resume", action="store_true", help="go on with an unfinished run where it stopped")
-    run.add_argument("--json", action="store_true", help="print the summary as JSON, and nothing else")
+    over.add_argument("--force", action="store_true", help="solve again and replace existing results")
+    over.add_argument("--resume", action="store_true", help="continue an unfinished run")
+    run.add_argument("--json", action="store_true", help="print only the summary, as JSON")
     run.set_defaults(run=_run)
 
-    check = verbs.add_parser("check", parents=[common, scene], help="what can be known of a case before solving it")
+    check = verbs.add_parser(
+        "check", parents=[common, scene], help="print sizes, mesh quality, frequency and damping of a case"
+    )
     check.add_argument("--json", action="store_true", help="print the numbers as JSON")
     check.set_defaults(run=_check)
 
@@ -36,20 +40,28 @@ def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
     movie.add_argument("folder", metavar="FOLDER", type=Path, help="a result folder, such as outputs/bar")
     movie.set_defaults(run=_movie)
 
-    again = verbs.add_parser("reproduce", parents=[common], help="run the seeds' scenes; say what of them holds")
-    again.add_argument("--cases", type=Path, default=Path("cases"), metavar="DIR", help="where the cases are (cases)")
-    again.add_argument("--out", type=Path, default=Path("outputs"), metavar="DIR", help="where results go (outputs)")
+    again = verbs.add_parser(
+        "reproduce", parents=[common], help="run the thesis' scenes and compare each published number"
+    )
+    again.add_argument(
+        "--cases", type=Path, default=Path("cases"), metavar="DIR", help="folder with the cases (%(default)s)"
+    )
+    again.add_argument(
+        "--out", type=Path, default=Path("outputs"), metavar="DIR", help="folder for results (%(default)s)"
+    )
     over = again.add_mutually_exclusive_group()
-    over.add_argument("--force", action="store_true", help="solve again and replace what is there")
-    over.add_argument("--resume", action="store_true", help="go on with an unfinished scene where it stopped")
+    over.add_argument("--force", action="store_true", help="solve again and replace existing results")
+    over.add_argument("--resume", action="store_true", help="continue an unfinished scene")
     again.set_defaults(run=_reproduce)
 
-    methods = verbs.add_parser("methods", parents=[common], help="what a case may choose from")
+    methods = verbs.add_parser(
+        "methods", parents=[common], help="list the laws, steppers and solvers that a case can choose"
+    )
     methods.set_defaults(run=_methods)
 
 
-def loaded_case(options: argparse.Namespace) -> Case:
-    """Return the case that the options name and change."""
+def load_chosen_case(options: argparse.Namespace) -> Case:
+    """Return the case that the options name, with their changes."""
     return load_case(
         options.case, overrides=dict(parse_override(text) for text in options.overrides), steps=options.steps
     )
@@ -58,7 +70,7 @@ def loaded_case(options: argparse.Namespace) -> Case:
 def _run(options: argparse.Namespace) -> int:
     from pipeline.results.case_run import run_case
 
-    case = loaded_case(options)
+    case = load_chosen_case(options)
     quiet = options.quiet or options.json
     with progress(quiet) as bar:
         result = run_case(
@@ -68,9 +80,9 @@ def _run(options: argparse.Namespace) -> int:
             force=options.force,
             resume=options.resume,
             movie=not options.no_movie,
-            notify=bar.solved,
-            on_start=bar.started,
-            on_drawing=bar.drawn,
+            notify=bar.show_frame,
+            on_start=bar.show_start,
+            on_drawing=bar.show_picture,
         )
     if options.json:
         summary = {
@@ -82,7 +94,7 @@ def _run(options: argparse.Namespace) -> int:
         print(json.dumps(summary, indent=2))
     for v in result.variants:
         if v.status == "failed":
-            say(f"SolveError: {v.name}: {v.run['message']}; its frames before that are in {v.folder}")
+            say(f"SolveError: {v.name}: {v.run['message']}; the frames before it are in {v.folder}")
     if not quiet:
         _print_summary(result)
     elif not options.json:
@@ -92,7 +104,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _print_summary(result: Any) -> None:
-    """Print a line a variant, the notes and where things are."""
+    """Print a line per variant, the notes and the files."""
     for v in result.variants:
         worst = v.run.get("worst")
         if v.status == "up to date":
@@ -100,7 +112,7 @@ def _print_summary(result: Any) -> None:
         elif worst and v.run["seconds_per_step"]:
             print(
                 f"{v.name:<14} {v.status}; worst volume ratio {worst['volume_ratio']:.4f} (cell {worst['cell']}, "
-                f"t = {worst['time']:.4g} s); {1e3 * v.run['seconds_per_step']:.3g} ms a step, "
+                f"t = {worst['time']:.4g} s); {1e3 * v.run['seconds_per_step']:.3g} ms per step, "
                 f"{v.run['real_time_factor']:.3g} x real time; solving {v.run['seconds']['solving']:.2g} s, "
                 f"writing {v.run['seconds']['writing']:.2g} s"
             )
@@ -119,18 +131,18 @@ def _check(options: argparse.Namespace) -> int:
     from pipeline.problem.check import check_problem, format_check
     from pipeline.problem.problem import build
 
-    case = loaded_case(options)
+    case = load_chosen_case(options)
     problems = {name: build(case.variant(name)) for name in options.variants or case.variant_names}
-    found = {name: check_problem(problem) for name, problem in problems.items()}
+    checks = {name: check_problem(problem) for name, problem in problems.items()}
     names_of: dict[tuple[str, ...], list[str]] = {}
     for name, problem in problems.items():
-        names_of.setdefault(tuple(format_check(found[name], problem)), []).append(name)
+        names_of.setdefault(tuple(format_check(checks[name], problem)), []).append(name)
     for block, names in names_of.items() if not options.json else ():
         print(", ".join(names), *block, sep="\n  ")
     if options.json:
         finite = {
-            name: {key: value if value == value else None for key, value in asdict(one).items()}
-            for name, one in found.items()
+            name: {key: value if value == value else None for key, value in asdict(numbers).items()}
+            for name, numbers in checks.items()
         }
         print(json.dumps(finite, indent=2))
     return 0
@@ -140,7 +152,7 @@ def _movie(options: argparse.Namespace) -> int:
     from pipeline.results.comparison import redraw_movie
 
     with progress(options.quiet) as bar:
-        path = redraw_movie(options.folder, on_drawing=bar.drawn)
+        path = redraw_movie(options.folder, on_drawing=bar.show_picture)
     if not options.quiet:
         print(path)
     return 0
@@ -155,8 +167,8 @@ def _reproduce(options: argparse.Namespace) -> int:
             options.out,
             force=options.force,
             resume=options.resume,
-            notify=lambda _, problem, *rest: bar.solved(problem.name.split("/")[0], problem, *rest),
-            on_drawing=bar.drawn,
+            notify=lambda _, problem, *rest: bar.show_frame(problem.name.split("/")[0], problem, *rest),
+            on_drawing=bar.show_picture,
         )
     for name in result.failed:
         say(f"SolveError: {name}: see {result.markdown}")

@@ -1,4 +1,4 @@
-"""The verbs for series that other programs wrote: analyze, compare."""
+"""The verbs `analyze` and `compare`, for series of any program."""
 
 import argparse
 import shlex
@@ -12,76 +12,82 @@ from pipeline.series import Series, read_series
 
 
 def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
-    """Add what measures series that other programs wrote."""
+    """Add the verbs `analyze` and `compare`."""
     foreign = argparse.ArgumentParser(add_help=False)
     foreign.add_argument(
-        "--displacement", metavar="FIELD", help='point field added to rest points; "none": points move'
+        "--displacement", metavar="FIELD", help='point field to add to the rest points; "none": the points move'
     )
-    foreign.add_argument("--rest", metavar="STATE", help="first, points, rest_position or a file")
-    foreign.add_argument("--strict", action="store_true", help="refuse a series with missing or broken frames")
-    foreign.add_argument("--movie", action="store_true", help="draw a movie too")
-    foreign.add_argument("--report", action="store_true", help="write report.html too: all of it in one page")
-    foreign.add_argument("--out", type=Path, default=Path("outputs/analysis"), metavar="DIR", help="where results go")
+    foreign.add_argument("--rest", metavar="STATE", help="rest state: first, points, rest_position or a file")
+    foreign.add_argument("--strict", action="store_true", help="refuse a series with missing or damaged frames")
+    foreign.add_argument("--movie", action="store_true", help="also draw a movie")
+    foreign.add_argument("--report", action="store_true", help="also write report.html, everything in one page")
+    foreign.add_argument("--out", type=Path, default=Path("outputs/analysis"), metavar="DIR",
+                         help="folder for results (%(default)s)")  # fmt: skip
 
-    one = verbs.add_parser("analyze", parents=[common, foreign], help="measure anybody's series")
-    one.add_argument("series", metavar="SERIES", help="index, folder, 'pattern*.vtu', .vtkhdf or .xdmf")
-    one.set_defaults(run=_analyze)
+    analyze = verbs.add_parser("analyze", parents=[common, foreign], help="measure a series of any program")
+    analyze.add_argument("series", metavar="SERIES", help="index, folder, 'pattern*.vtu', .vtkhdf or .xdmf")
+    analyze.set_defaults(run=_analyze)
 
-    many = verbs.add_parser("compare", parents=[common, foreign], help="measure series side by side")
-    many.add_argument("series", metavar="SERIES", nargs="+", help="two and more of what analyze takes")
-    many.add_argument(
-        "--difference", action="store_true", help="differences to the first, of cells and nodes; needs the same cells"
+    compare = verbs.add_parser("compare", parents=[common, foreign], help="measure series side by side")
+    compare.add_argument("series", metavar="SERIES", nargs="+", help="two or more series, as for analyze")
+    compare.add_argument(
+        "--difference",
+        action="store_true",
+        help="differences of cells and nodes from the first series; needs the same cells",
     )
-    many.set_defaults(run=_compare)
+    compare.set_defaults(run=_compare)
 
 
-def _opened(options: argparse.Namespace, path: str) -> Series:
+def _read(options: argparse.Namespace, path: str) -> Series:
     return read_series(path, displacement=options.displacement, rest=options.rest, strict=options.strict)
 
 
 def _analyze(options: argparse.Namespace) -> int:
     from pipeline.results.analysis_folder import analyze
 
-    series = _opened(options, options.series)
+    series = _read(options, options.series)
     with progress(options.quiet) as bar:
-        found = analyze(series, options.out, movie=options.movie, on_frame=bar.read, on_drawing=bar.drawn)
-    for note in found.notes:
+        analysis = analyze(
+            series, options.out, movie=options.movie, on_frame=bar.show_reading, on_drawing=bar.show_picture
+        )
+    for note in analysis.notes:
         say(f"note: {note}")
     if not options.quiet:
-        worst = f"{found.worst_volume_ratio:.4f} (cell {found.worst_cell}, t = {found.worst_time:.4g} s)"
-        print(f"{found.name}: {found.frames} frames; worst volume ratio {worst}", *found.files, sep="\n  ")
-    _report(options, found, [series], ["analyze", options.series])
+        worst = f"{analysis.worst_volume_ratio:.4f} (cell {analysis.worst_cell}, t = {analysis.worst_time:.4g} s)"
+        print(f"{analysis.name}: {analysis.frames} frames; worst volume ratio {worst}", *analysis.files, sep="\n  ")
+    _report(options, analysis, [series], ["analyze", options.series])
     return 0
 
 
 def _compare(options: argparse.Namespace) -> int:
     from pipeline.results.analysis_folder import compare
 
-    series = [_opened(options, path) for path in options.series]
+    series = [_read(options, path) for path in options.series]
     with progress(options.quiet) as bar:
-        found = compare(
+        comparison = compare(
             series,
             options.out,
             movie=options.movie,
             difference=options.difference,
-            on_frame=bar.read,
-            on_drawing=bar.drawn,
+            on_frame=bar.show_reading,
+            on_drawing=bar.show_picture,
         )
-    for note in found.notes:
+    for note in comparison.notes:
         say(f"note: {note}")
     if not options.quiet:
-        print(*found.files, sep="\n")
-        for one in found.node_distances:
-            worst = f"{one.worst:.4g} m (node {one.node}, t = {one.time:.4g} s)"
-            print(f"{one.name}: nodes up to {worst} from {found.analyses[0].name}; RMS up to {one.rms:.4g} m")
-    _report(options, found, series, ["compare", *options.series])
+        print(*comparison.files, sep="\n")
+        for distance in comparison.node_distances:
+            worst = f"{distance.worst:.4g} m (node {distance.node}, t = {distance.time:.4g} s)"
+            first = comparison.analyses[0].name
+            print(f"{distance.name}: nodes up to {worst} from {first}; RMS up to {distance.rms:.4g} m")
+    _report(options, comparison, series, ["compare", *options.series])
     return 0
 
 
 def _report(
     options: argparse.Namespace, found: Analysis | Comparison, series: Sequence[Series], words: Sequence[str]
 ) -> None:
-    """Write report.html where it is asked for, with the command that led to it."""
+    """Write report.html if it was requested, with the command that repeats the analysis."""
     if not options.report:
         return
     from pipeline.results.report import write_analysis_report

@@ -122,7 +122,7 @@ def _print_tradeoff(plan: "Plan", options: argparse.Namespace) -> None:
             repeats=options.repeats,
             scheduler=options.scheduler,
             write_variant=options.apply,
-            on_point=lambda _, done, total: bar.read(plan.case.name, done, total),
+            on_point=lambda _, done, total: bar.show_reading(plan.case.name, done, total),
         )
     print(found.sentence)
     if not options.quiet:
@@ -154,7 +154,7 @@ def _stability(options: argparse.Namespace) -> int:
             steps=options.steps,
             tolerance=options.tolerance,
             scheduler=options.scheduler,
-            on_point=lambda _, done, total: bar.read(case.name, done, total),
+            on_point=lambda _, done, total: bar.show_reading(case.name, done, total),
         )
     print(*found.sentences(), sep="\n")
     if not options.quiet:
@@ -187,7 +187,7 @@ def _scaling(options: argparse.Namespace) -> int:
             methods=options.methods,
             rtol=options.rtol,
             baseline=not options.no_baseline,
-            on_point=lambda done, total: bar.read("scaling", done, total),
+            on_point=lambda done, total: bar.show_reading("scaling", done, total),
         )
     print(*found.lines(), f"bandwidth {found.bandwidth:.1f} GB/s", *(f"  {path}" for path in found.made), sep="\n")
     return 0

@@ -1,4 +1,4 @@
-"""What the terminal shows: lines on standard error and progress bars."""
+"""Output to the terminal: lines on standard error and progress bars."""
 
 import sys
 from collections.abc import Iterator
@@ -8,6 +8,7 @@ from typing import Any
 from pipeline.problem.problem import Problem
 from pipeline.run.frame import Frame
 from pipeline.run.recording import RunSummary
+from pipeline.stepping.report import RUNG_NAMES
 
 
 def say(line: str) -> None:
@@ -15,34 +16,31 @@ def say(line: str) -> None:
     print(line, file=sys.stderr)
 
 
-_RUNGS = ("linear", "corotational", "converged")
-
-
 class Bars:
-    """A bar a variant, with steps a second, time left and the worst volume ratio; and one for the movie."""
+    """Progress bars: one per variant with steps per second and the worst volume ratio, and one for the movie."""
 
     def __init__(self, display: Any) -> None:
         self._display = display
         self._tasks: dict[str, Any] = {}
 
-    def started(self, name: str, problem: Problem) -> None:
-        """Show a variant that is set up: matrices are factored and, the first time on a machine, kernels compiled."""
+    def show_start(self, name: str, problem: Problem) -> None:
+        """Show that a variant is being set up: matrices are factored and, the first time, kernels compiled."""
         total = problem.last_step
-        self._show(name, 0, total, "setting up; the first run on a machine compiles")
+        self._show(name, 0, total, "setting up; the first run compiles kernels")
 
-    def solved(self, name: str, problem: Problem, frame: Frame, summary: RunSummary) -> None:
+    def show_frame(self, name: str, problem: Problem, frame: Frame, summary: RunSummary) -> None:
         """Show a frame of a variant."""
         total = problem.last_step
         wall = summary.wall_seconds
         rate = f"{summary.steps / wall:6.0f} steps/s" if summary.steps else ""
-        rung = f"  {_RUNGS[int(frame.known['rung'])]}" if "rung" in frame.known else ""
+        rung = f"  {RUNG_NAMES[int(frame.known['rung'])]}" if "rung" in frame.known else ""
         self._show(name, frame.step or 0, total, f"{rate}  worst V/V0 {summary.worst_volume_ratio:.4f}{rung}")
 
-    def drawn(self, done: int, total: int) -> None:
+    def show_picture(self, done: int, total: int) -> None:
         """Show a frame of the movie."""
         self._show("movie", done, total, "")
 
-    def read(self, name: str, done: int, total: int) -> None:
+    def show_reading(self, name: str, done: int, total: int) -> None:
         """Show a frame of a series that is read."""
         self._show(name, done, total, "")
 

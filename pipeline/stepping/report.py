@@ -6,6 +6,7 @@ from typing import NamedTuple
 from pipeline.linear.work import Work
 
 LINEAR, COROTATIONAL, CONVERGED = 0, 1, 2  # the rungs
+RUNG_NAMES = ("linear", "corotational", "converged")
 
 
 class ModelChoice(NamedTuple):

@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.errors import OutputError
+from pipeline.stepping.report import RUNG_NAMES
 from pipeline.views.figures import make_panels, open_figure
 from pipeline.views.palette import BANDS, BLUE, ENERGIES, FAINT, GREEN, INK, SOFT, VERMILION
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_LINES = 2000  # more lines than this merge into one patch and take seconds to draw
-RUNGS = (("linear", GREEN), ("corotational", BLUE), ("converged", VERMILION))  # by step_rung
+RUNGS = tuple(zip(RUNG_NAMES, (GREEN, BLUE, VERMILION), strict=True))  # by step_rung
 
 
 def write_volume_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:

@@ -250,7 +250,7 @@ def test_the_bar_says_what_is_done_before_the_first_frame_and_which_model_a_step
 
     bars = Bars(Display())
     auto = load_case(case, overrides={"method.model": "auto"})
-    run_case(auto, Path("bars"), variants=["polar"], movie=False, notify=bars.solved, on_start=bars.started)
+    run_case(auto, Path("bars"), variants=["polar"], movie=False, notify=bars.show_frame, on_start=bars.show_start)
     assert said[0].startswith("setting up")
     assert len(said) == 2 + auto.schedule.frames and said[-1].split()[-1] in ("linear", "corotational")
 
@@ -269,7 +269,7 @@ def test_a_failed_variant_is_one_line_and_exit_code_three(case, capfd, monkeypat
     assert out == ""
     for name, line in zip(("gram_schmidt", "polar"), err.splitlines(), strict=True):
         assert line.startswith(f"SolveError: {name}: it broke (at step 3, t = 0.06 s); after step 2 0 of 18 cells")
-        assert line.endswith(f"its frames before that are in outputs/beam/{name}")
+        assert line.endswith(f"the frames before it are in outputs/beam/{name}")
 
 
 def test_an_interruption_is_one_line_and_exit_code_130(case, capfd, monkeypatch):

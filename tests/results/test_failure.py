@@ -131,7 +131,7 @@ def test_a_poor_mesh_is_blamed(tmp_path):
     mesh = {"shape": "box", "size": [1.0, 3.0, 0.002], "cells": [1, 3, 1]}
     problem = built(tmp_path, mesh=mesh)
     last = examine_failure(problem, problem.start).list_remedies()[-1]
-    assert re.fullmatch(r"a better mesh: the quality of cell \d+ is 0\.00\d+, 1 is regular", last)
+    assert re.fullmatch(r"a better mesh: the quality of cell \d+ is 0\.00\d+ \(1 is regular\)", last)
 
 
 def test_nothing_is_examined_where_nothing_began(tmp_path, monkeypatch):
