@@ -76,10 +76,10 @@ def main() -> None:
             "solving alone": lambda: seconds(_Nowhere()),
             "writing alone": lambda: seconds(Recording(sinks()), kept),
             "one after the other": lambda: seconds(Recording(sinks())),
-            "beside each other": lambda: seconds(writer.recording(sinks())),
+            "beside each other": lambda: seconds(writer.start_recording(sinks())),
             "unrelated, at once": unrelated,
         }
-        seconds(writer.recording(sinks()), kept[:10])  # it has started
+        seconds(writer.start_recording(sinks()), kept[:10])  # it has started
         rows = [{name: way() for name, way in ways.items()} for _ in range(options.repeats)]
     took = {name: 1e3 * median(row[name] for row in rows) / options.frames for name in ways}
     print(f"{len(problem.body.mesh.cells)} tetrahedra, {options.frames} frames, ms a frame")

@@ -11,7 +11,7 @@ from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, join_names, shorten
 from pipeline.formats.meshio_reader import SIMPLICES, CellBlock
 from pipeline.formats.preflight import find_refusal
-from pipeline.formats.sandbox import READER
+from pipeline.formats.sandbox import SHARED_READER
 from pipeline.mesh.cleanup import (
     check_connectivity,
     check_points,
@@ -58,7 +58,7 @@ def _read(path: Path) -> tuple[Floats, list[CellBlock], str]:
         raise MeshError(f"{path}: the file is empty")
     if why := find_refusal(path):
         raise MeshError(f"{path}: {why}")
-    points, blocks, said = READER.read("pipeline.formats.meshio_reader:plain_mesh", path, error=MeshError)
+    points, blocks, said = SHARED_READER.read("pipeline.formats.meshio_reader:plain_mesh", path, error=MeshError)
     return points, blocks, said
 
 

@@ -149,7 +149,7 @@ class VariantRun:
             NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
         ]
         beside = len(self.problem.body.mesh.cells) >= WORTH_A_PROCESS
-        record = self.writer.recording if beside else Recording
+        record = self.writer.start_recording if beside else Recording
         recording = record(sinks, on_frame=self._on_frame, before=self.summary)
 
         def after_step(state: State, effort: Effort) -> None:

@@ -10,7 +10,7 @@ from pipeline.errors import SeriesError
 from pipeline.formats import readers
 from pipeline.formats.grid import Grid
 from pipeline.formats.preflight import find_refusal
-from pipeline.formats.sandbox import READER
+from pipeline.formats.sandbox import SHARED_READER
 from pipeline.formats.vtu_read import read_inline
 
 
@@ -21,7 +21,7 @@ def read_grid(file: Path, step: int = 0, *, ours: bool = False) -> Grid:
     if ours:
         return readers.read_grid(file, step)
     _check_file(file)
-    return Grid(*READER.read("pipeline.formats.readers:read_plain_grid", file, step, error=SeriesError))
+    return Grid(*SHARED_READER.read("pipeline.formats.readers:read_plain_grid", file, step, error=SeriesError))
 
 
 def read_times(file: Path) -> list[float] | None:
@@ -30,7 +30,7 @@ def read_times(file: Path) -> list[float] | None:
         values = grid.field_data.get("TimeValue")
         return None if values is None else [float(time) for time in values.ravel()]
     _check_file(file)
-    times: list[float] | None = READER.read("pipeline.formats.readers:read_times", file, error=SeriesError)
+    times: list[float] | None = SHARED_READER.read("pipeline.formats.readers:read_times", file, error=SeriesError)
     return times
 
 

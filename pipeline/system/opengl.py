@@ -1,8 +1,7 @@
 """Finds the OpenGL window class that VTK can draw with on this machine, without ever crashing this process.
 
-VTK's wheels carry no OpenGL. Where the system has none, the first picture ends the whole process with a
-segmentation fault, whatever the window class; so each class is tried in a child process that draws one flat
-colour and reads it back.
+VTK's wheels contain no OpenGL. If the system has none, the first picture ends the whole process with a segmentation
+fault, whatever the window class; so each class is tried in a child process that draws one flat color and reads it back.
 """
 
 import os
@@ -11,11 +10,12 @@ import sys
 from collections.abc import Iterator
 
 from pipeline.errors import OutputError
+from pipeline.system.child import make_command
 
 # EGL needs no display, OSMesa no driver either; GLX needs an X server and so is tried last.
 WINDOWS = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "vtkXOpenGLRenderWindow")
 VTK_CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
-# What a parent process has found to work, for its children: "class of window|DISPLAY it was tried with".
+# the window class that works in the parent process, for its children: "window class|DISPLAY it was tried with"
 FOUND = "PIPELINE_OPENGL_FOUND"
 # A child takes 0.3 s on a quiet machine; the first one after an installation reads 300 MB of VTK from disk.
 PROBE_SECONDS = 60.0
@@ -25,83 +25,62 @@ INSTALL = (
     "elsewhere: Mesa's EGL or OSMesa (libEGL.so.1 with a software driver, or libOSMesa.so.8)"
 )
 
-_PROBE = """
-import resource, sys
-resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
-from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
-import vtkmodules.vtkRenderingOpenGL2
-window, renderer, pixel = vtkRenderWindow(), vtkRenderer(), vtkUnsignedCharArray()
-if window.GetClassName() != sys.argv[1]:
-    sys.exit(f"VTK made a {window.GetClassName()}")
-renderer.SetBackground(1.0, 0.0, 1.0)
-window.SetOffScreenRendering(True)
-window.SetMultiSamples(0)
-window.SetSize(32, 32)
-window.AddRenderer(renderer)
-window.Render()
-window.GetPixelData(16, 16, 16, 16, 0, pixel, 0)
-colour = [pixel.GetValue(i) for i in range(3)]
-if colour != [255, 0, 255]:
-    sys.exit(f"drew {colour} for [255, 0, 255]")
-"""
+_PROBE = "import sys; from pipeline.system.opengl import draw_pixel; draw_pixel(sys.argv[1])"
 
 _working: str | None = None
 
 
 def ensure_opengl() -> str:
-    """Name of the VTK window class that draws here, set in the environment for every window made from now on.
+    """Return the VTK window class that draws here, and set it in the environment for every window made from now on.
 
-    Probes once per process; processes started from this one inherit the finding. Raises OutputError where
-    nothing draws.
+    Probes once per process; processes started from this one inherit the result. Raises OutputError if none draws.
     """
     global _working
     if _working is None:
-        _working = _inherited() or _first_that_draws()
+        _working = _read_inherited() or _find_first()
         os.environ[FOUND] = f"{_working}|{os.environ.get('DISPLAY', '')}"
     os.environ[VTK_CHOICE] = _working
     return _working
 
 
-def _inherited() -> str | None:
-    """What a parent process found with the same display and the same wish, None without one."""
+def _read_inherited() -> str | None:
+    """Return the window class that a parent process found with the same display and choice, None if there is none."""
     window, _, display = os.environ.get(FOUND, "").partition("|")
     same = display == os.environ.get("DISPLAY", "") and os.environ.get(VTK_CHOICE) == window
     return window if window and same else None
 
 
-def _first_that_draws() -> str:
+def _find_first() -> str:
     failures = []
-    for window in _candidates():
+    for window in _iterate_candidates():
         failure = _probe(window)
         if failure is None:
             return window
         failures.append(f"{window}: {failure}")
     raise OutputError(
         f"no OpenGL to draw with ({'; '.join(failures)}). "
-        f"Everything but pictures and movies is there. To have them, {INSTALL}"
+        f"Everything but pictures and movies works without it. To have them, {INSTALL}"
     )
 
 
-def _candidates() -> Iterator[str]:
-    """The user's own choice first, then every class that can work here."""
-    wish = os.environ.get(VTK_CHOICE)
-    if wish:
-        yield wish
+def _iterate_candidates() -> Iterator[str]:
+    """Yield the user's own choice, then every class that can work here."""
+    choice = os.environ.get(VTK_CHOICE)
+    if choice:
+        yield choice
     for window in WINDOWS:
         needs_display = window == "vtkXOpenGLRenderWindow"
-        if window != wish and (os.environ.get("DISPLAY") or not needs_display):
+        if window != choice and (os.environ.get("DISPLAY") or not needs_display):
             yield window
 
 
 def _probe(window: str) -> str | None:
-    """None where a child process could draw in this class of window, else one line that says why not."""
-    command = [sys.executable, "-P", "-c", _PROBE, window]
+    """Return None if a child process can draw in this class of window, else the reason on one line."""
     environment = os.environ | {VTK_CHOICE: window}
-    environment.pop("PYTHONFAULTHANDLER", None)  # its traces would drown the reason
+    environment.pop("PYTHONFAULTHANDLER", None)  # its traces would hide the reason
     try:
         child = subprocess.run(
-            command,
+            make_command(_PROBE, window, bare=True),
             env=environment,
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -117,12 +96,40 @@ def _probe(window: str) -> str | None:
         return None
     if child.returncode < 0:
         return f"ended by signal {-child.returncode}"
-    said = child.stderr.strip().splitlines()
-    return said[-1] if said else f"exit status {child.returncode}"
+    lines = child.stderr.strip().splitlines()
+    return lines[-1] if lines else f"exit status {child.returncode}"
+
+
+def draw_pixel(window_class: str) -> None:
+    """Draw one flat color in this class of window and read it back; exits with one line if that fails.
+
+    Called in a child process only: VTK may crash it.
+    """
+    from vtkmodules import vtkRenderingOpenGL2  # noqa: F401  (registers the window classes)
+    from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+    from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
+
+    if sys.platform != "win32":
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    window, renderer, pixel = vtkRenderWindow(), vtkRenderer(), vtkUnsignedCharArray()
+    if window.GetClassName() != window_class:
+        raise SystemExit(f"VTK made a {window.GetClassName()}")
+    renderer.SetBackground(1.0, 0.0, 1.0)
+    window.SetOffScreenRendering(True)
+    window.SetMultiSamples(0)
+    window.SetSize(32, 32)
+    window.AddRenderer(renderer)
+    window.Render()
+    window.GetPixelData(16, 16, 16, 16, 0, pixel, 0)
+    color = [pixel.GetValue(i) for i in range(3)]
+    if color != [255, 0, 255]:
+        raise SystemExit(f"drew {color} for [255, 0, 255]")
 
 
 def main() -> int:
-    """Exit status of `python -m pipeline.system.opengl`: 0 where pictures can be drawn, 1 where not."""
+    """Exit status of `python -m pipeline.system.opengl`: 0 if pictures can be drawn, otherwise 1."""
     try:
         window = ensure_opengl()
     except OutputError as error:

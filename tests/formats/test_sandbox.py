@@ -19,6 +19,7 @@ from pipeline.formats.preflight import find_outside_name, find_refusal
 from pipeline.formats.sandbox import GIGABYTES, Reader
 from pipeline.mesh.files import read_mesh
 from pipeline.series import read_series
+from pipeline.system.child import ChildProcess
 from tests.bodies import write_case
 from tests.series.test_series import CELLS, make_grid, write_pvd, write_series
 
@@ -114,7 +115,7 @@ def test_memory_is_limited_and_the_limit_can_be_raised(child, monkeypatch):
     assert f"takes more than 0.5 GB of memory; {GIGABYTES} allows more" in refused(child, "hog")
     assert child("processes") == before  # an array that is too large is no death
     monkeypatch.setenv(GIGABYTES, "junk")
-    assert reader._memory(0) == 2 * 10**9 and reader._memory(10**9) == 40 * 10**9
+    assert reader._memory_limit(0) == 2 * 10**9 and reader._memory_limit(10**9) == 40 * 10**9
 
 
 def test_errors_of_parsers_and_our_own(child):
@@ -132,11 +133,11 @@ def test_an_answer_that_would_run_something_is_not_taken(child, tmp_path):
 def test_an_interruption_ends_the_child(child, monkeypatch):
     first = child("processes")
 
-    def interrupted(stream):
+    def interrupted(self, **_):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(reader, "_received", interrupted)
+        patch.setattr(ChildProcess, "receive", interrupted)
         with pytest.raises(KeyboardInterrupt):
             child("size")
     assert child("processes") != first
@@ -146,10 +147,10 @@ def test_an_interruption_ends_the_child(child, monkeypatch):
 def test_a_forked_process_has_a_child_of_its_own(tmp_path):
     code = (
         "import os, sys\nfrom pathlib import Path\nfrom pipeline.errors import SeriesError\n"
-        "from pipeline.formats.sandbox import READER\n"
-        "ask = lambda: READER.read('os.path:basename', Path('x'), error=SeriesError)\n"
-        "assert ask() == 'x'\nfirst = READER._process.pid\nchild = os.fork()\n"
-        "assert ask() == 'x'\nassert (READER._process.pid == first) == (child != 0)\n"
+        "from pipeline.formats.sandbox import SHARED_READER\n"
+        "ask = lambda: SHARED_READER.read('os.path:basename', Path('x'), error=SeriesError)\n"
+        "assert ask() == 'x'\nfirst = SHARED_READER._child.process.pid\nchild = os.fork()\n"
+        "assert ask() == 'x'\nassert (SHARED_READER._child.process.pid == first) == (child != 0)\n"
         "sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) if child else 0)"
     )
     run = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True)
@@ -275,7 +276,7 @@ def test_a_file_that_kills_its_reader_is_one_line(tmp_path, capfd, monkeypatch):
             return genuine(self, "bad:die", file, 11, error=error)
         return genuine(self, function, file, *arguments, error=error)
 
-    monkeypatch.setattr("pipeline.series.frame_files.READER", own)
+    monkeypatch.setattr("pipeline.series.frame_files.SHARED_READER", own)
     monkeypatch.setattr(Reader, "read", segfaulting)
     assert main(["analyze", str(tmp_path / "f0.vtu"), "--out", str(tmp_path / "out")]) == 2
     out, err = capfd.readouterr()

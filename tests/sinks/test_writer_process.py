@@ -24,7 +24,8 @@ from pipeline.run.frame import Frame
 from pipeline.run.recording import Recording, drive
 from pipeline.sinks.frame_formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink
-from pipeline.sinks.writer_process import _PIPE, WORTH_A_PROCESS, WriterProcess
+from pipeline.sinks.writer_process import WORTH_A_PROCESS, WriterProcess
+from pipeline.system.child import _PIPE_BYTES
 from tests.bodies import write_case
 from tests.results.test_resume import _default_handlers, _no_figures, assert_same_results, solve, written  # noqa: F401
 
@@ -108,7 +109,9 @@ def some_frames(count: int, before=lambda index: None, mesh=MESH):
 
 def test_frames_are_written_in_order_by_another_process(tmp_path, shared):
     sink, told = Notes(tmp_path / "notes"), []
-    recording = shared.recording([sink], on_frame=lambda frame, summary: told.append((frame.index, summary.frames)))
+    recording = shared.start_recording(
+        [sink], on_frame=lambda frame, summary: told.append((frame.index, summary.frames))
+    )
     drive(some_frames(30), recording)
     assert sink.lines() == [*map(str, range(30)), "closed"]
     assert told == [(i, i + 1) for i in range(30)]
@@ -122,7 +125,7 @@ def test_frames_are_written_in_order_by_another_process(tmp_path, shared):
 @pytest.mark.parametrize("name", FORMATS)
 def test_files_are_the_same_as_written_in_between(tmp_path, shared, name):
     case = load_case(write_case(tmp_path, schedule={"dt": 0.01, "frames": 8}))
-    for folder, record in ((tmp_path / "a", Recording), (tmp_path / "b", shared.recording)):
+    for folder, record in ((tmp_path / "a", Recording), (tmp_path / "b", shared.start_recording)):
         folder.mkdir()
         sinks = [FORMATS[name].sink(folder, [], "float64", 9), NetcdfSink(folder / "statistics.nc", title="same")]
         drive(frames(build(case.variant("polar"))), record(sinks))
@@ -151,7 +154,7 @@ def contents(folder: Path) -> dict[str, object]:
 def test_it_runs_ahead_by_a_bounded_number_of_frames(tmp_path, shared):
     mesh, solved = box((1.0, 1.0, 1.0), (15, 15, 15)), []  # a frame is more than a pipe holds
     sink = Slow(tmp_path / "notes")
-    run = threading.Thread(target=lambda: drive(some_frames(40, solved.append, mesh), shared.recording([sink])))
+    run = threading.Thread(target=lambda: drive(some_frames(40, solved.append, mesh), shared.start_recording([sink])))
     run.start()
     try:
         deadline = time.monotonic() + PATIENCE
@@ -159,7 +162,7 @@ def test_it_runs_ahead_by_a_bounded_number_of_frames(tmp_path, shared):
             time.sleep(0.01)
         run.join(0.5)
         # two written, one being written, some waiting in the pipe, one that has no room
-        assert run.is_alive() and 4 <= len(solved) <= 5 + _PIPE // mesh.points.nbytes
+        assert run.is_alive() and 4 <= len(solved) <= 5 + _PIPE_BYTES // mesh.points.nbytes
     finally:
         (tmp_path / "go").touch()
         run.join(PATIENCE)
@@ -168,7 +171,7 @@ def test_it_runs_ahead_by_a_bounded_number_of_frames(tmp_path, shared):
 
 def test_drain_returns_when_all_is_written_and_told(tmp_path, shared):
     sink, told = Notes(tmp_path / "notes"), []
-    recording = shared.recording([sink], on_frame=lambda frame, summary: told.append(frame.index))
+    recording = shared.start_recording([sink], on_frame=lambda frame, summary: told.append(frame.index))
     for count, frame in enumerate(some_frames(5), 1):
         recording.take(frame)
         recording.drain()
@@ -186,7 +189,7 @@ def test_drain_returns_when_all_is_written_and_told(tmp_path, shared):
 )
 def test_a_writer_that_fails_stops_the_run_with_its_own_message(tmp_path, shared, kind, error, message):
     sink, other = kind(tmp_path / "notes"), Notes(tmp_path / "other")
-    recording, after = shared.recording([other, sink]), []
+    recording, after = shared.start_recording([other, sink]), []
 
     def solve(index):
         if index == 3:  # the failure, at frame 2, is heard of before the next is handed over
@@ -201,14 +204,14 @@ def test_a_writer_that_fails_stops_the_run_with_its_own_message(tmp_path, shared
     if kind is Faulty:
         assert "in second" in caught.value.__notes__[0]
     # and it is there for the next run
-    drive(some_frames(3), shared.recording([again := Notes(tmp_path / "again")]))
+    drive(some_frames(3), shared.start_recording([again := Notes(tmp_path / "again")]))
     assert again.lines() == ["0", "1", "2", "closed"]
 
 
 def test_a_failure_at_the_last_frame_is_raised_on_closing_and_by_drain(tmp_path, shared):
     with pytest.raises(OutputError, match="no room"):
-        drive(some_frames(3), shared.recording([Full(tmp_path / "notes")]))
-    recording = shared.recording([Full(tmp_path / "drained")])
+        drive(some_frames(3), shared.start_recording([Full(tmp_path / "notes")]))
+    recording = shared.start_recording([Full(tmp_path / "drained")])
     for frame in some_frames(3):
         recording.take(frame)
     with pytest.raises(OutputError, match="no room"):
@@ -218,7 +221,7 @@ def test_a_failure_at_the_last_frame_is_raised_on_closing_and_by_drain(tmp_path,
 
 def test_what_cannot_be_closed_is_told(tmp_path, shared):
     with pytest.raises(OutputError, match="cannot be closed"):
-        drive(some_frames(3), shared.recording([Stuck(tmp_path / "notes"), other := Notes(tmp_path / "other")]))
+        drive(some_frames(3), shared.start_recording([Stuck(tmp_path / "notes"), other := Notes(tmp_path / "other")]))
     assert other.lines() == ["0", "1", "2", "closed"]
 
 
@@ -228,7 +231,7 @@ def test_a_solver_that_fails_leaves_the_frames_before_it(tmp_path, shared):
             raise SolveError("diverged")
 
     with pytest.raises(SolveError, match="diverged"):
-        drive(some_frames(9, broken), shared.recording([sink := Notes(tmp_path / "notes")]))
+        drive(some_frames(9, broken), shared.start_recording([sink := Notes(tmp_path / "notes")]))
     assert sink.lines() == ["0", "1", "2", "closed"]
 
 
@@ -238,45 +241,45 @@ def test_what_fails_in_on_frame_is_raised(tmp_path, shared):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        drive(some_frames(1000), shared.recording([sink := Notes(tmp_path / "notes")], on_frame=impatient))
+        drive(some_frames(1000), shared.start_recording([sink := Notes(tmp_path / "notes")], on_frame=impatient))
     assert sink.lines()[-1] == "closed"
 
 
 def test_what_is_printed_there_is_no_answer(tmp_path, shared):
-    drive(some_frames(5), shared.recording([sink := Loud(tmp_path / "notes")]))
+    drive(some_frames(5), shared.start_recording([sink := Loud(tmp_path / "notes")]))
     assert sink.lines() == ["0", "1", "2", "3", "4", "closed"]
 
 
 def test_nothing_taken_closes_without_a_word(tmp_path, shared):
-    shared.recording([Notes(tmp_path / "notes")]).close()
+    shared.start_recording([Notes(tmp_path / "notes")]).close()
     assert not (tmp_path / "notes").exists()
 
 
 def test_a_process_that_is_killed_is_told_and_the_next_run_has_a_new_one(tmp_path):
     with WriterProcess() as process:
-        recording = process.recording([Notes(tmp_path / "notes")])
+        recording = process.start_recording([Notes(tmp_path / "notes")])
 
         def kill(index):
             if index == 3:
                 recording.drain()
-                os.kill(process._process.pid, signal.SIGKILL)
+                os.kill(process._child.process.pid, signal.SIGKILL)
 
         with pytest.raises(OutputError, match=r"ended by itself \(exit code -9; out of memory\?\)"):
             drive(some_frames(1000, kill), recording)
-        drive(some_frames(3), process.recording([sink := Notes(tmp_path / "again")]))
+        drive(some_frames(3), process.start_recording([sink := Notes(tmp_path / "again")]))
         assert sink.lines() == ["0", "1", "2", "closed"]
 
 
 def test_one_that_cannot_be_started_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "executable", str(tmp_path / "no_python"))
     with WriterProcess() as process, pytest.raises(OutputError, match=r"cannot be started \(No such file"):
-        process.recording([])
+        process.start_recording([])
 
 
 def test_an_end_in_the_middle_of_a_message_does_not_wait(tmp_path, monkeypatch):
     """As a second signal does, which raises wherever the solver's process is."""
     with WriterProcess() as process:
-        recording = process.recording([Slow(tmp_path / "notes")])
+        recording = process.start_recording([Slow(tmp_path / "notes")])
 
         def interrupted(index):
             if index == 5:
@@ -297,7 +300,7 @@ from pipeline.sinks.writer_process import WriterProcess
 from tests.sinks.test_writer_process import Slow, some_frames
 folder = pathlib.Path({str(tmp_path)!r})
 with lock_folder(folder) as lock:
-    recording = WriterProcess(keep=lock).recording([Slow(folder / "notes")])
+    recording = WriterProcess(keep=lock).start_recording([Slow(folder / "notes")])
     for frame in some_frames(5):
         recording.take(frame)
     while recording.summary.frames < 2:  # it told of two, and waits in the third
@@ -334,8 +337,10 @@ def test_a_checkpoint_waits_for_the_frames_before_it(tmp_path, monkeypatch):
 
 
 def test_small_meshes_are_written_in_between(tmp_path, monkeypatch):
-    genuine, remote = WriterProcess.recording, []
-    monkeypatch.setattr(WriterProcess, "recording", lambda self, *a, **k: remote.append(a) or genuine(self, *a, **k))
+    genuine, remote = WriterProcess.start_recording, []
+    monkeypatch.setattr(
+        WriterProcess, "start_recording", lambda self, *a, **k: remote.append(a) or genuine(self, *a, **k)
+    )
     solve(written(tmp_path), tmp_path / "small")
     assert remote == []
     path = written(tmp_path / "large", mesh=WORTH)
@@ -382,7 +387,7 @@ def test_numbers_are_those_that_are_sent(tmp_path, shared):
     import netCDF4
 
     kept = list(frames(problem))
-    drive(iter(kept), shared.recording([NetcdfSink(tmp_path / "s.nc", title="sent")]))
+    drive(iter(kept), shared.start_recording([NetcdfSink(tmp_path / "s.nc", title="sent")]))
     with netCDF4.Dataset(tmp_path / "s.nc") as dataset:
         for name in ("kinetic_energy", "elastic_energy", "newton_iterations"):
             assert np.array_equal(dataset[name][:], [frame.known[name] for frame in kept])

@@ -41,8 +41,8 @@ class Importing(Notes):
 def test_a_process_that_starts_is_not_asked_to_stop(tmp_path, way):
     """A terminal's ctrl-C reaches it in its first second too, before it has read a line of ours."""
     with WriterProcess() as process:
-        recording = process.recording([sink := Notes(tmp_path / "notes")])
-        os.kill(process._process.pid, getattr(signal, way))
+        recording = process.start_recording([sink := Notes(tmp_path / "notes")])
+        os.kill(process._child.process.pid, getattr(signal, way))
         drive(some_frames(3), recording)
     assert sink.lines() == ["0", "1", "2", "closed"]
     assert not {signal.SIGINT, signal.SIGTERM} & signal.pthread_sigmask(signal.SIG_BLOCK, [])
@@ -57,7 +57,7 @@ def test_it_is_this_package_that_is_started(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [str(ROOT), Path("/nowhere"), str(tmp_path / "a:b"), *sys.path[1:]])
     with WriterProcess() as process:
-        drive(some_frames(3), process.recording([sink := Importing(tmp_path / "notes")]))
+        drive(some_frames(3), process.start_recording([sink := Importing(tmp_path / "notes")]))
     assert sink.lines() == ["0", "1", "2", "closed"]
 
 
@@ -67,25 +67,25 @@ def test_what_is_printed_before_it_begins_is_no_answer(tmp_path, monkeypatch, wo
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.syspath_prepend(tmp_path)
     with WriterProcess() as process:
-        drive(some_frames(3), process.recording([sink := Notes(tmp_path / "notes")]))
+        drive(some_frames(3), process.start_recording([sink := Notes(tmp_path / "notes")]))
     assert sink.lines() == ["0", "1", "2", "closed"]
 
 
 def test_answers_without_sense_end_it(tmp_path):
     with WriterProcess() as process:
         with pytest.raises(OutputError, match="that writes frames make no sense"):
-            drive(some_frames(1000), process.recording([Senseless(tmp_path / "notes")]))
-        drive(some_frames(3), process.recording([sink := Notes(tmp_path / "again")]))
+            drive(some_frames(1000), process.start_recording([Senseless(tmp_path / "notes")]))
+        drive(some_frames(3), process.start_recording([sink := Notes(tmp_path / "again")]))
     assert sink.lines() == ["0", "1", "2", "closed"]
 
 
 def test_nothing_is_written_after_closing_that_is_interrupted(tmp_path, monkeypatch):
     """The folder is let go next: a process that went on would write beside another run."""
     process = WriterProcess()
-    recording = process.recording([Slow(tmp_path / "notes")])
+    recording = process.start_recording([Slow(tmp_path / "notes")])
     for frame in some_frames(5):
         recording.take(frame)
-    child, genuine = process._process, subprocess.Popen.wait
+    child, genuine = process._child.process, subprocess.Popen.wait
 
     def impatient(self, timeout=None):
         if timeout is not None:
@@ -110,11 +110,11 @@ from tests.sinks.test_writer_process import some_frames
 from tests.sinks.test_writer_start import Erring
 folder = pathlib.Path({str(tmp_path)!r})
 with lock_folder(folder) as lock, WriterProcess(keep=lock) as process:
-    recording = process.recording([Erring(folder / "notes")])
+    recording = process.start_recording([Erring(folder / "notes")])
     for frame in some_frames(3):
         recording.take(frame)
     recording.close()
-    held = [os.path.realpath(one) for one in pathlib.Path(f"/proc/{{process._process.pid}}/fd").glob("*")]
+    held = [os.path.realpath(one) for one in pathlib.Path(f"/proc/{{process._child.process.pid}}/fd").glob("*")]
     (folder / "held").write_text(str(held.count(str(folder / ".lock"))))
 """
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL, timeout=PATIENCE)
@@ -126,5 +126,5 @@ with lock_folder(folder) as lock, WriterProcess(keep=lock) as process:
 def test_python_has_nothing_to_remark(tmp_path, monkeypatch, capfd):
     monkeypatch.setenv("PYTHONWARNINGS", "always::ResourceWarning")
     with WriterProcess() as process:
-        drive(some_frames(3), process.recording([Notes(tmp_path / "notes")]))
+        drive(some_frames(3), process.start_recording([Notes(tmp_path / "notes")]))
     assert capfd.readouterr() == ("", "")

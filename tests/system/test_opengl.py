@@ -30,7 +30,7 @@ def test_children_that_crash_make_one_error_that_names_the_packages(fresh):
     message = str(caught.value)
     assert "vtkEGLRenderWindow: ended by signal 11" in message
     assert "apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri" in message
-    assert "OSMesa" in message and "Everything but pictures" in message
+    assert "OSMesa" in message and "Everything but pictures and movies works" in message
     assert opengl.VTK_CHOICE not in os.environ
 
 

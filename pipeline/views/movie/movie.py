@@ -11,7 +11,6 @@ import numpy as np
 from pipeline.errors import OutputError
 from pipeline.formats.atomic import whole_file
 from pipeline.series import Series
-from pipeline.system.opengl import ensure_opengl
 from pipeline.system.times import TIME_RTOL
 from pipeline.views.camera import fit_camera
 from pipeline.views.movie.encoder import Encoder
@@ -66,6 +65,8 @@ def write_movie(
     others keeps its last frame, dimmed. `on_frame(done, frames)` is called after each frame of film. Raises
     OutputError without OpenGL or ffmpeg, if a file cannot be written and for impossible sizes.
     """
+    from pipeline.system.opengl import ensure_opengl  # not at the top: `python -m` runs this module
+
     _check_arguments(series, labels, size, speed, fps)
     ensure_opengl()
     tracks = [read_track(recorded, label) for recorded, label in zip(series, labels, strict=True)]
