@@ -1,7 +1,8 @@
 """Meshes from files: anything that meshio reads, brought to one simplex mesh; every clean-up is told in a note."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
+from os import PathLike
 from os.path import isfile  # pathlib's raises where a name is longer than the system allows
 from pathlib import Path
 
@@ -21,16 +22,16 @@ from pipeline.mesh.cleanup import (
 )
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 
-Note = Callable[[str], object]
 _NEEDED = "linear tetrahedra or planar triangles are needed"
 
 
-def read_mesh(path: Path, scale: float = 1.0, *, note: Note | None = None) -> Mesh:
+def read_mesh(path: str | PathLike[str], scale: float = 1.0) -> Mesh:
     """Return the tetrahedra of a file, or its triangles where it is planar, with points times scale.
 
-    `note` is called with each clean-up in words. Raises MeshError for a file that meshio cannot read, a surface,
-    higher-order or other solid cells, and for what cleanup.py refuses.
+    The mesh's `notes` list every clean-up. Raises MeshError for a file that meshio cannot read, a surface, higher-order
+    or other solid cells, and for cells and points that cleanup.py refuses.
     """
+    path = Path(path)
     points, blocks, said = _read(path)
     notes = [f"meshio says: {said}"] if said else []
     try:
@@ -44,10 +45,7 @@ def read_mesh(path: Path, scale: float = 1.0, *, note: Note | None = None) -> Me
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
     notes += [*dropped, *repeated, *unused, *mirrored]
-    if note is not None:
-        for text in notes:
-            note(f"{path.name}: {text}")
-    return Mesh(points * scale, cells, name=str(path))
+    return Mesh(points * scale, cells, name=str(path), notes=tuple(f"{path.name}: {note}" for note in notes))
 
 
 def _read(path: Path) -> tuple[Floats, list[CellBlock], str]:

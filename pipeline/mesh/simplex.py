@@ -50,12 +50,14 @@ def _determinants(D: Floats) -> Floats:
 class Mesh:
     """A rest mesh: points (n, d) [m] and positively oriented cells (e, d + 1).
 
-    Raises MeshError for cells that are inverted, flat or name nodes that do not exist.
+    `notes` say how reading changed the content of the mesh's file. Raises MeshError for cells that are inverted, flat
+    or name nodes that do not exist.
     """
 
     points: Floats
     cells: Ints
     name: str = "mesh"
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", np.ascontiguousarray(self.points, dtype=np.float64))

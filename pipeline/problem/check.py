@@ -1,4 +1,4 @@
-"""What can be known of a problem before it is solved."""
+"""The numbers of a problem that are known before it is solved."""
 
 from cmath import log, phase
 from collections.abc import Callable
@@ -14,9 +14,9 @@ from pipeline.problem.methods import MODE_FACTORS
 from pipeline.problem.problem import Problem
 from pipeline.stepping.symplectic_euler import element_limit, true_limit
 
-# eigenvalues of larger bodies take longer than many a run
+# cells; the eigenvalues of larger bodies take longer than most runs
 _MODE_LIMIT = 200_000
-_HUNDREDTH = 0.01  # of damping, of a period: what a remedy is told for
+_HUNDREDTH = 0.01  # of critical damping, of a period: above it a smaller dt is suggested
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Check:
 
 
 def check_problem(problem: Problem) -> Check:
-    """Return the numbers of a problem; omega_1 is NaN where the body is too large to look for it, or rigid."""
+    """Return the numbers of a problem; omega_1 is NaN if the body is too large to compute it, or rigid."""
     body = problem.body
     mesh = body.mesh
     q = quality(mesh)
@@ -82,10 +82,10 @@ def _lowest(problem: Problem) -> float:
     if len(problem.body.mesh.cells) > _MODE_LIMIT:
         return float("nan")
     try:
-        found, _ = lowest_frequencies(problem.body)
+        frequencies, _ = lowest_frequencies(problem.body)
     except SolveError:
         return float("nan")
-    return float(found[0]) if len(found) else float("nan")
+    return float(frequencies[0]) if len(frequencies) else float("nan")
 
 
 def _limit(problem: Problem) -> float:
@@ -94,58 +94,58 @@ def _limit(problem: Problem) -> float:
     return true_limit(problem.body)
 
 
-def format_check(found: Check, problem: Problem) -> list[str]:
-    """Return the check as lines to read."""
-    kind, unit = ("tetrahedra", "m3") if found.dimension == 3 else ("triangles", "m2")
+def format_check(check: Check, problem: Problem) -> list[str]:
+    """Return the numbers as lines of text."""
+    kind, unit = ("tetrahedra", "m3") if check.dimension == 3 else ("triangles", "m2")
     rows = [
-        f"nodes        {found.nodes}, of which {found.held} are held",
-        f"{kind:<12} {found.cells} in {found.components} component{'s' * (found.components > 1)}",
-        f"volume       {found.total_volume:.6g} {unit}; "
-        f"cells from {found.smallest_volume:.4g} to {found.largest_volume:.4g}",
-        f"quality      worst {found.worst_quality:.3f} (cell {found.worst_cell}), "
-        f"median {found.median_quality:.3f}; 1 is regular",
-        f"mass         {found.mass:.6g} kg; pressure waves run at {found.wave_speed:.4g} m/s",
+        f"nodes        {check.nodes}, of which {check.held} are held",
+        f"{kind:<12} {check.cells} in {check.components} component{'s' * (check.components > 1)}",
+        f"volume       {check.total_volume:.6g} {unit}; "
+        f"cells from {check.smallest_volume:.4g} to {check.largest_volume:.4g}",
+        f"quality      worst {check.worst_quality:.3f} (cell {check.worst_cell}), "
+        f"median {check.median_quality:.3f}; 1 is regular",
+        f"mass         {check.mass:.6g} kg; pressure waves travel at {check.wave_speed:.4g} m/s",
     ]
-    if np.isfinite(found.omega_1):
+    if np.isfinite(check.omega_1):
         rows += [
-            f"omega_1      {found.omega_1:.4g} rad/s, the lowest elastic one ({found.omega_1 / 2 / np.pi:.4g} Hz)",
-            f"omega_1 dt   {found.z:.4g} with dt = {problem.dt:g} s",
+            f"omega_1      {check.omega_1:.4g} rad/s, the lowest elastic one ({check.omega_1 / 2 / np.pi:.4g} Hz)",
+            f"omega_1 dt   {check.z:.4g} with dt = {problem.dt:g} s",
         ]
-        rows += _mode_lines(found, problem.method.stepper)
+        rows += _format_mode(check, problem.method.stepper)
     rows.append(
-        f"explicit     symplectic Euler is stable below {found.explicit_limit:.4g} s; "
-        f"the bound over the cells is {found.explicit_bound:.4g} s"
+        f"explicit     symplectic Euler is stable below {check.explicit_limit:.4g} s; "
+        f"the bound over the cells is {check.explicit_bound:.4g} s"
     )
     rows += [f"note         {note}" for note in problem.notes]
     return rows
 
 
-def _mode_lines(found: Check, stepper: str) -> list[str]:
-    """Return what a stepper does to the lowest mode, and the steps that would bring it to a hundredth."""
+def _format_mode(check: Check, stepper: str) -> list[str]:
+    """Return damping and lag of the lowest mode, with the steps that would bring each down to a hundredth."""
     if stepper not in MODE_FACTORS:
         return []
     factor = MODE_FACTORS[stepper]
 
-    def remedy(measure: Callable[[Callable[[float], complex], float], float], wanted: float, unit: str) -> str:
-        if measure(factor, found.z) <= wanted:
+    def suggest(measure: Callable[[Callable[[float], complex], float], float], goal: float, unit: str) -> str:
+        if measure(factor, check.z) <= goal:
             return ""
-        z = brentq(lambda z: measure(factor, z) - wanted, 1e-6, found.z)
-        return f"; for {100 * _HUNDREDTH:g} % {unit}take dt near {z / found.omega_1:.2g} s"
+        z = brentq(lambda z: measure(factor, z) - goal, 1e-6, check.z)
+        return f"; for {100 * _HUNDREDTH:g} % {unit}take dt near {z / check.omega_1:.2g} s"
 
     return [
-        f"damping      {stepper} damps that mode by {100 * found.damping:.3g} % of critical"
-        + remedy(_damping, _HUNDREDTH, ""),
-        f"phase        it lags by {found.phase_lag:.3g} degrees a period"
-        + remedy(_phase_lag, 360 * _HUNDREDTH, "of a period "),
+        f"damping      {stepper} damps that mode by {100 * check.damping:.3g} % of critical"
+        + suggest(_damping, _HUNDREDTH, ""),
+        f"phase        it lags by {check.phase_lag:.3g} degrees a period"
+        + suggest(_phase_lag, 360 * _HUNDREDTH, "of a period "),
     ]
 
 
 def _damping(factor: Callable[[float], complex], z: float) -> float:
-    """Return the damping ratio of a mode that a step multiplies by that factor."""
+    """Return the damping ratio of a mode that a step multiplies by factor(z)."""
     power = log(factor(z))
     return -power.real / abs(power)
 
 
 def _phase_lag(factor: Callable[[float], complex], z: float) -> float:
-    """Return by how much such a mode has turned too little after one of its periods [degree]."""
+    """Return the phase [degree] by which such a mode lags after one of its periods."""
     return 360 * (1 - phase(factor(z)) / z)

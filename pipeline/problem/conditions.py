@@ -19,8 +19,8 @@ AXES = {"x": 0, "y": 1, "z": 2}
 _FIRST_INSTANT = 1e-4  # of a step: the time over which the initial velocity of a prescribed motion is taken
 
 
-def vector(case: Case, key: str, value: tuple[float, ...] | None, d: int) -> Floats:
-    """Return a case's vector (d,), zeros where it is not given."""
+def read_vector(case: Case, key: str, value: tuple[float, ...] | None, d: int) -> Floats:
+    """Return a vector (d,) of the case, zeros if it is None; raises CaseError if its length is not d."""
     if value is None:
         return np.zeros(d)
     if len(value) != d:
@@ -28,10 +28,10 @@ def vector(case: Case, key: str, value: tuple[float, ...] | None, d: int) -> Flo
     return np.array(value, dtype=np.float64)
 
 
-def selected_nodes(case: Case, key: str, selector: Any, mesh: Mesh) -> Ints:
-    """Return the nodes that a selector of the case names; raises CaseError where it names none."""
+def select_nodes(case: Case, key: str, selector: Any, mesh: Mesh) -> Ints:
+    """Return the nodes that a selector of the case names; raises CaseError if there are none."""
     X = mesh.points
-    reach = 1e-9 * mesh.size  # nodes on a plane come from arithmetic of about 1e-16 of the size
+    reach = 1e-9 * mesh.size  # coordinates of nodes on a plane are off by rounding, about 1e-16 of the size
     for name in ("plane", "below", "above"):
         chosen = getattr(selector, name)
         if chosen is not None and AXES[chosen if name == "plane" else chosen.axis] >= mesh.dimension:
@@ -39,32 +39,32 @@ def selected_nodes(case: Case, key: str, selector: Any, mesh: Mesh) -> Ints:
     if selector.plane is not None:
         mask = np.abs(X[:, AXES[selector.plane]] - selector.at) <= reach
     elif selector.box is not None:
-        low, high = (vector(case, f"{key}.box", corner, mesh.dimension) for corner in selector.box)
+        low, high = (read_vector(case, f"{key}.box", corner, mesh.dimension) for corner in selector.box)
         mask = np.all((low - reach <= X) & (high + reach >= X), axis=1)
     elif selector.sphere is not None:
-        center = vector(case, f"{key}.sphere.center", selector.sphere.center, mesh.dimension)
+        center = read_vector(case, f"{key}.sphere.center", selector.sphere.center, mesh.dimension)
         mask = np.linalg.norm(X - center, axis=1) <= selector.sphere.radius + reach
     elif selector.below is not None:
         mask = X[:, AXES[selector.below.axis]] < selector.below.at
     elif selector.above is not None:
         mask = X[:, AXES[selector.above.axis]] > selector.above.at
     else:
-        return _listed_nodes(case, key, selector.nodes, len(X))
+        return _check_nodes(case, key, selector.nodes, len(X))
     if not mask.any():
         low, high = X.min(axis=0), X.max(axis=0)
         raise case.make_error(key, f"selects no node; the mesh spans {low.tolist()} to {high.tolist()}")
     return np.flatnonzero(mask)
 
 
-def _listed_nodes(case: Case, key: str, nodes: tuple[int, ...], count: int) -> Ints:
+def _check_nodes(case: Case, key: str, nodes: tuple[int, ...], count: int) -> Ints:
     if max(nodes) >= count:
         raise case.make_error(f"{key}.nodes", f"{max(nodes)} is not a node; the mesh has {count}, counted from 0")
     return np.unique(np.array(nodes, dtype=np.int64))
 
 
-def supports(case: Case, mesh: Mesh) -> Supports:
-    """Return the held nodes and their motions; raises CaseError where a node would have two."""
-    held = [selected_nodes(case, f"supports.{i}", s, mesh) for i, s in enumerate(case.supports)]
+def make_supports(case: Case, mesh: Mesh) -> Supports:
+    """Return the held nodes and their motions; raises CaseError if a node would have two."""
+    held = [select_nodes(case, f"supports.{i}", s, mesh) for i, s in enumerate(case.supports)]
     taken = np.full(len(mesh.points), -1)
     motions = []
     for i, (spec, nodes) in enumerate(zip(case.supports, held, strict=True)):
@@ -73,77 +73,77 @@ def supports(case: Case, mesh: Mesh) -> Supports:
             raise case.make_error(f"supports.{i}", f"node {twice[0]} is held by supports.{taken[twice[0]]} already")
         taken[nodes] = i
         if spec.motion is not None:
-            motions.append((nodes, _motion(case, f"supports.{i}.motion", spec.motion, mesh)))
+            motions.append((nodes, _make_motion(case, f"supports.{i}.motion", spec.motion, mesh)))
     return Supports(np.flatnonzero(taken >= 0), tuple(motions))
 
 
-def _motion(case: Case, key: str, spec: Any, mesh: Mesh) -> Motion:
+def _make_motion(case: Case, key: str, spec: Any, mesh: Mesh) -> Motion:
     d = mesh.dimension
     if spec.displacement is not None:
-        displacement = python_value(case, f"{key}.displacement", spec.displacement)
+        displacement = get_python_value(case, f"{key}.displacement", spec.displacement)
         return PrescribedMotion(displacement, _FIRST_INSTANT * case.schedule.dt)
-    velocity = vector(case, f"{key}.velocity", spec.velocity, d)
+    velocity = read_vector(case, f"{key}.velocity", spec.velocity, d)
     if spec.spin is None:
         return RigidMotion(velocity, np.array([0.0, 0.0, 1.0]), 0.0, np.zeros(d))
-    axis = _axis(case, f"{key}.spin", spec.spin, d)
+    axis = _read_axis(case, f"{key}.spin", spec.spin, d)
     if spec.spin.center is None:
         raise case.make_error(f"{key}.spin.center", "missing: the point that the supports turn about")
-    center = vector(case, f"{key}.spin.center", spec.spin.center, d)
+    center = read_vector(case, f"{key}.spin.center", spec.spin.center, d)
     return RigidMotion(velocity, axis, float(np.radians(spec.spin.rate)), center)
 
 
-def _axis(case: Case, key: str, spin: SpinSpec, d: int) -> Floats:
+def _read_axis(case: Case, key: str, spin: SpinSpec, d: int) -> Floats:
     """Return the unit axis (3,); in the plane it must be along z."""
     axis = np.array(spin.axis, dtype=np.float64)
     if d == 2 and axis[:2].any():
         raise case.make_error(f"{key}.axis", f"{list(spin.axis)} is not along z; the mesh is planar")
-    axis /= np.abs(axis).max()  # squares of what is tiny are zero
+    axis /= np.abs(axis).max()  # the square of a tiny component would be zero
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def dead_load(case: Case, mesh: Mesh) -> Floats:
+def make_dead_load(case: Case, mesh: Mesh) -> Floats:
     """Return the sum of the dead loads (n, d) [N]."""
     d = mesh.dimension
-    density = case.material.density * vector(case, "loads.gravity", case.loads.gravity, d)
+    density = case.material.density * read_vector(case, "loads.gravity", case.loads.gravity, d)
     if case.loads.body_force is not None:
         b = case.loads.body_force
-        density += b.factor * vector(case, "loads.body_force", b.value, d)
+        density += b.factor * read_vector(case, "loads.body_force", b.value, d)
     f = body_force(mesh, density)
     faces, _ = boundary_faces(mesh) if case.loads.traction else (np.zeros((0, d), np.int64), None)
     for i, spec in enumerate(case.loads.traction):
         chosen = np.zeros(len(mesh.points), dtype=bool)
-        chosen[selected_nodes(case, f"loads.traction.{i}", spec, mesh)] = True
+        chosen[select_nodes(case, f"loads.traction.{i}", spec, mesh)] = True
         loaded = faces[chosen[faces].all(axis=1)]
         if not len(loaded):
             raise case.make_error(f"loads.traction.{i}", "its nodes are not the corners of any boundary face")
         f += normal_traction(mesh, loaded, spec.normal_traction)
-    return f + _constant_field(case, mesh)
+    return f + _integrate_fields(case, mesh)
 
 
-def python_value(case: Case, key: str, given: PythonValue) -> Any:
+def get_python_value(case: Case, key: str, entry: PythonValue) -> Any:
     """Return an array or function that the case carries; raises CaseError if it was read back from a file."""
-    if given.value is None:
+    if entry.value is None:
         raise case.make_error(key, "was given in Python and is not in the file; make the case in Python again")
-    return given.value
+    return entry.value
 
 
-def _constant_field(case: Case, mesh: Mesh) -> Floats:
+def _integrate_fields(case: Case, mesh: Mesh) -> Floats:
     """Return the nodal forces (n, d) [N] of arrays that were given in Python."""
     f = np.zeros_like(mesh.points)
     for name, integrate in _LOAD_FIELDS.items():
-        given = getattr(case.loads, name)
-        if given is not None and not callable(value := python_value(case, f"loads.{name}", given)):
+        entry = getattr(case.loads, name)
+        if entry is not None and not callable(value := get_python_value(case, f"loads.{name}", entry)):
             f += integrate(mesh, value)
     return f
 
 
-def varying_load(case: Case, mesh: Mesh) -> Callable[[float], Floats] | None:
+def make_varying_load(case: Case, mesh: Mesh) -> Callable[[float], Floats] | None:
     """Return the dead loads (n, d) [N] that are functions of time [s], None if there are none."""
     functions = [
         (integrate, value)
         for name, integrate in _LOAD_FIELDS.items()
-        if (given := getattr(case.loads, name)) is not None
-        and callable(value := python_value(case, f"loads.{name}", given))
+        if (entry := getattr(case.loads, name)) is not None
+        and callable(value := get_python_value(case, f"loads.{name}", entry))
     ]
     if not functions:
         return None
@@ -160,18 +160,18 @@ _LOAD_FIELDS: dict[str, Callable[[Mesh, Floats], Floats]] = {
 }
 
 
-def initial_state(case: Case, body: Body) -> State:
-    """Return the start: rest positions, velocity and spin on the free nodes, the supports' own on the held ones."""
+def make_initial_state(case: Case, body: Body) -> State:
+    """Return the initial state: rest positions, the case's velocity and spin, and the supports' on held nodes."""
     mesh, initial = body.mesh, case.initial
     d = mesh.dimension
-    v = np.broadcast_to(vector(case, "initial.velocity", initial.velocity, d), mesh.points.shape)
+    v = np.broadcast_to(read_vector(case, "initial.velocity", initial.velocity, d), mesh.points.shape)
     if initial.velocity_field is not None:
-        v = python_value(case, "initial.velocity_field", initial.velocity_field)
+        v = get_python_value(case, "initial.velocity_field", initial.velocity_field)
     if initial.spin is not None:
-        mean = mesh.node_volumes @ mesh.points / mesh.rest_volumes.sum()  # of a uniform body: the centre of mass
+        mean = mesh.node_volumes @ mesh.points / mesh.rest_volumes.sum()  # the center of mass of a uniform body
         spin = initial.spin
-        center = mean if spin.center is None else vector(case, "initial.spin.center", spin.center, d)
-        omega = np.radians(spin.rate) * _axis(case, "initial.spin", spin, d)
+        center = mean if spin.center is None else read_vector(case, "initial.spin.center", spin.center, d)
+        omega = np.radians(spin.rate) * _read_axis(case, "initial.spin", spin, d)
         arm = np.pad(mesh.points - center, [(0, 0), (0, 3 - d)])
         v = v + np.cross(omega, arm)[:, :d]
     v = np.where(body.free_mask[:, None], initial.factor * v, 0.0)

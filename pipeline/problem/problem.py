@@ -1,6 +1,6 @@
-"""Case -> Problem: every name looked up, every vector and node set checked, the body and its start made."""
+"""Case -> Problem: looks up every name, checks every vector and node set, makes the body and its initial state."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,13 @@ from pipeline.fem.material import Material
 from pipeline.linear.pardiso import library
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.simplex import Mesh, component_labels
-from pipeline.problem.conditions import dead_load, initial_state, python_value, supports, varying_load
+from pipeline.problem.conditions import (
+    get_python_value,
+    make_dead_load,
+    make_initial_state,
+    make_supports,
+    make_varying_load,
+)
 from pipeline.problem.methods import (
     INVERSIONS,
     LAWS,
@@ -29,7 +35,7 @@ from pipeline.problem.stage_solvers import make_stepper
 from pipeline.stepping.state import State, Stepper
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Problem:
     """A body, its method, its start and its schedule: all that `frames` needs."""
 
@@ -41,6 +47,13 @@ class Problem:
     steps_per_frame: int
     last_frame: int
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        mesh = self.body.mesh
+        return (
+            f"<Problem {self.name}: {len(mesh.cells)} cells, {len(mesh.points)} nodes, {self.method.stepper}, "
+            f"dt = {self.dt:g} s, {self.frame_count} frames>"
+        )
 
     @property
     def frame_count(self) -> int:
@@ -60,9 +73,8 @@ class Problem:
 def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
     """Return the problem that a resolved case (or one with a single variant) describes.
 
-    A mesh that is given takes the place of the case's own.
-    Raises CaseError where a name is unknown, a vector has the wrong length, a selection is empty or everything is
-    held, and MeshError where the mesh cannot be simulated.
+    `mesh` replaces the case's own. Raises CaseError if a name is unknown, a vector has the wrong length, a selection is
+    empty or all nodes are held, and MeshError if the mesh cannot be simulated.
     """
     if case.variant_name is None and len(case.variant_names) == 1:
         case = case.variant(case.variant_names[0])
@@ -70,17 +82,21 @@ def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
         raise case.make_error("variants", f"choose one with case.variant(name): {join_names(case.variant_names)}")
     case = resolve_mass(case)
     _check_method(case)
-    mesh_notes: list[str] = []
-    mesh = build_mesh(case, note=mesh_notes.append) if mesh is None else mesh
-    law, mass = _make_law(case), MASSES[case.method.mass].make
-    body = make_body(mesh, law, supports(case, mesh), dead_load(case, mesh), mass, varying_load(case, mesh))
+    mesh = build_mesh(case) if mesh is None else mesh
+    body = _make_body(case, mesh)
     if not body.free.size:
         raise case.make_error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
     _check_step(case, body)
     s = case.schedule
-    start = initial_state(case, body)
+    start = make_initial_state(case, body)
     name = f"{case.name}/{case.variant_name}"
-    return Problem(name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, _notes(case, mesh, mesh_notes))
+    return Problem(name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, _list_notes(case, mesh))
+
+
+def _make_body(case: Case, mesh: Mesh) -> Body:
+    law, mass = _make_law(case), MASSES[case.method.mass].make
+    load, varying_load = make_dead_load(case, mesh), make_varying_load(case, mesh)
+    return make_body(mesh, law, make_supports(case, mesh), load, mass, varying_load)
 
 
 def _make_law(case: Case) -> Law:
@@ -91,37 +107,37 @@ def _make_law(case: Case) -> Law:
     return LAWS[method.law].make(material, ROTATIONS[method.rotation].make)
 
 
-def build_mesh(case: Case, *, note: Callable[[str], object] | None = None) -> Mesh:
-    """Return the rest mesh of a case, each clean-up of a file told to `note`; raises CaseError or MeshError."""
+def build_mesh(case: Case) -> Mesh:
+    """Return the rest mesh of a case; raises CaseError or MeshError."""
     spec = case.mesh
     try:
         if spec.arrays is not None:
-            points, cells = python_value(case, "mesh.arrays", spec.arrays)
+            points, cells = get_python_value(case, "mesh.arrays", spec.arrays)
             return Mesh(points, cells, name=case.name)
         if spec.shape is None:
             assert case.mesh_path is not None
-            return read_mesh(case.mesh_path, spec.scale, note=note)
+            return read_mesh(case.mesh_path, spec.scale)
         assert spec.size is not None and spec.cells is not None
-        return SHAPES[_chosen(case, "mesh.shape", spec.shape, SHAPES)].make(spec.size, spec.cells, spec.split)
+        return SHAPES[_check_name(case, "mesh.shape", spec.shape, SHAPES)].make(spec.size, spec.cells, spec.split)
     except MeshError as error:
         raise case.make_error("mesh", str(error)) from error
 
 
 def resolve_mass(case: Case) -> Case:
-    """Return a resolved case with what its stepper decides written out: symplectic Euler takes lumped mass."""
+    """Return a resolved case with the mass that its stepper needs: an explicit one needs lumped mass."""
     method = case.method
-    if method.stepper != "symplectic_euler" or method.mass == "lumped":
+    if method.stepper not in STEP_LIMITS or method.mass == "lumped":
         return case
     inherited = "method.stepper" in case.own_keys and "method.mass" not in case.own_keys
     if "mass" in method.model_fields_set and not inherited:
-        raise case.make_error("method.mass", "symplectic_euler takes 'lumped'")
-    note = "method.mass is lumped, as symplectic_euler takes it"
+        raise case.make_error("method.mass", f"{method.stepper} needs 'lumped'")
+    note = f"method.mass is lumped, as {method.stepper} needs it"
     lumped = method.model_copy(update={"mass": "lumped"})
     return case.model_copy(update={"method": lumped, "notes": (*case.notes, note)})
 
 
 def _check_method(case: Case) -> None:
-    """Raise CaseError for a name that is in no table, and for parts that do not go together."""
+    """Raise CaseError if a name is in no table or two parts do not go together."""
     method = case.method
     tables: Mapping[str, Mapping[str, Any]] = {
         "law": LAWS,
@@ -132,7 +148,7 @@ def _check_method(case: Case) -> None:
         "inversion": INVERSIONS,
     }
     for key, table in tables.items():
-        _chosen(case, f"method.{key}", getattr(method, key), table)
+        _check_name(case, f"method.{key}", getattr(method, key), table)
     traits = find_traits(method)
     has_treatment = INVERSIONS[method.inversion].make is not None
     if traits.chooses_model:
@@ -142,17 +158,17 @@ def _check_method(case: Case) -> None:
         return
     if has_treatment and (traits.is_linear or method.rotation != "polar" or method.iterations != 1):
         needed = "the corotational law with polar rotations and iterations = 1"
-        raise case.make_error("method.inversion", f"{method.inversion!r} has a memory: it goes with {needed}")
+        raise case.make_error("method.inversion", f"{method.inversion!r} depends on the step before: it needs {needed}")
     if traits.is_linear or traits.is_explicit:
         return
     if traits.is_converged and method.rotation != "polar":
         raise case.make_error(
-            "method.iterations", f"'converged' needs a potential, which {method.rotation} has not; use polar"
+            "method.iterations", f"'converged' needs a potential, and {method.rotation} has none; use polar"
         )
 
 
 def _check_step(case: Case, body: Body) -> None:
-    """Raise CaseError where the stepper has a limit and dt is above it."""
+    """Raise CaseError if the stepper has a limit and dt is not below it."""
     if case.method.stepper not in STEP_LIMITS:
         return
     bound_of, limit_of = STEP_LIMITS[case.method.stepper]
@@ -168,14 +184,14 @@ def _check_step(case: Case, body: Body) -> None:
         )
 
 
-def _chosen(case: Case, key: str, name: str, table: Mapping[str, Any]) -> str:
+def _check_name(case: Case, key: str, name: str, table: Mapping[str, Any]) -> str:
     if name not in table:
         raise case.make_error(key, f"{quote_value(name)} is not one of {', '.join(table)}")
     return name
 
 
-def _notes(case: Case, mesh: Mesh, mesh_notes: Sequence[str]) -> tuple[str, ...]:
-    notes = [*case.notes, *mesh_notes]
+def _list_notes(case: Case, mesh: Mesh) -> tuple[str, ...]:
+    notes = [*case.notes, *mesh.notes]
     unused = [key for key in ("law", "rotation", "iterations") if f"method.{key}" in case.own_keys]
     traits = find_traits(case.method)
     if traits.chooses_model and unused:
@@ -184,8 +200,8 @@ def _notes(case: Case, mesh: Mesh, mesh_notes: Sequence[str]) -> tuple[str, ...]
         notes.append("method.rotation is not used by the linear law")
     if case.method.linear_solver == "pardiso" and not traits.is_explicit and library() is None:
         notes.append(
-            "method.linear_solver = 'pardiso' needs the mkl package, which is not installed: superlu takes its place; "
-            "to have it: pip install 'corotational-pipeline[mkl]'"
+            "method.linear_solver = 'pardiso' needs the mkl package, which is not installed: superlu replaces it; "
+            "to install it: pip install 'corotational-pipeline[mkl]'"
         )
     pieces, _ = component_labels(mesh)
     if pieces > 1:

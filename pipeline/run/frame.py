@@ -1,4 +1,4 @@
-"""Frame and the Sink protocol: the joint between what solves and what records, measures and draws."""
+"""Frame and the Sink protocol: they join solving with recording, measuring and drawing."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,12 +15,13 @@ from pipeline.stepping.state import State
 Values = Mapping[str, NDArray[np.float64]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Frame:
-    """One instant of a motion: where the nodes of a rest mesh are now.
+    """One instant of a motion: the positions x (n, d) [m] of the nodes of a rest mesh, and velocities v [m/s].
 
-    `known` holds what only the solver knows (energies, momenta, iterations), by the names of
-    `measures.VARIABLES` and `STEPS`; it is empty, and v, work and state are None, for a foreign series.
+    `known` are the values that only the solver knows (energies, momenta, iterations), by the names of
+    `measures.VARIABLES` and `STEPS`; `work` is that since the previous frame. A frame of a foreign series has none of
+    them: `known` is empty, and step, v, work and state are None.
     """
 
     index: int
@@ -33,14 +34,18 @@ class Frame:
     work: Work | None = None
     state: State | None = None
 
+    def __repr__(self) -> str:
+        step = "" if self.step is None else f", step {self.step}"
+        return f"<Frame {self.index}: t = {self.time:g} s{step}, {len(self.mesh.points)} nodes of {self.mesh.name}>"
+
 
 class Sink(Protocol):
-    """Takes frames in order, with what was measured on them, and leaves complete files behind."""
+    """Writes frames, in order and with their measured values, into complete files."""
 
     def write(self, frame: Frame, measured: Values) -> None:
-        """Record one frame; raises OutputError where it cannot."""
+        """Record one frame; raises OutputError if it cannot be written."""
         ...
 
     def close(self) -> None:
-        """Leave everything written so far readable."""
+        """Finish the files: everything written so far can be read."""
         ...

@@ -1,6 +1,6 @@
 """The numbers of one frame, and the table of every variable that files and datasets carry.
 
-Pure functions: what sinks write about a live run and what a foreign series is measured by is the same.
+Pure functions: sinks measure the frames of a run with them, and an analysis those of any other series.
 """
 
 from collections.abc import Mapping
@@ -19,48 +19,50 @@ QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 
 @dataclass(frozen=True)
 class Variable:
-    """What a name means: its dimensions in one frame, its unit and a sentence."""
+    """The meaning of a name: dimensions in one frame, unit, a short name for axes and tables, and a longer comment."""
 
     dims: tuple[str, ...]
     units: str
     long_name: str
+    comment: str = ""
 
 
+_RUNGS = "0 linear, 1 corotational, 2 converged"
 VARIABLES: Mapping[str, Variable] = {
-    "volume_ratio": Variable(("cell",), "1", "volume now over rest volume, det F; negative where inverted"),
+    "volume_ratio": Variable(("cell",), "1", "volume over rest volume, det F", "negative for inverted cells"),
     "rotation_angle": Variable(("cell",), "degree", "angle of the polar rotation of the deformation gradient"),
     "total_volume": Variable((), "m3", "signed sum of the volumes of all cells"),
-    "volume_drift": Variable((), "1", "total volume over total rest volume, less one"),
+    "volume_drift": Variable((), "1", "total volume over total rest volume, minus one"),
     "volume_ratio_mean": Variable((), "1", "mean volume ratio, weighted by rest volume"),
     "volume_ratio_quantile": Variable(("quantile",), "1", "quantiles of the volume ratio over cells, unweighted"),
-    "inverted_count": Variable((), "1", "number of cells whose volume ratio is not positive"),
-    "center_of_mass": Variable(("axis",), "m", "centre of mass of the body, its density being uniform"),
+    "inverted_count": Variable((), "1", "number of cells with a volume ratio of zero or less"),
+    "center_of_mass": Variable(("axis",), "m", "center of mass", "of a body of uniform density"),
     "kinetic_energy": Variable((), "J", "kinetic energy"),
-    "elastic_energy": Variable((), "J", "elastic energy of the law that was solved"),
-    "potential_energy": Variable((), "J", "potential energy of the dead loads, zero at the rest positions"),
+    "elastic_energy": Variable((), "J", "elastic energy", "of the law that was solved"),
+    "potential_energy": Variable((), "J", "potential energy of the dead loads", "zero at the rest positions"),
     "linear_momentum": Variable(("axis",), "kg m s-1", "linear momentum"),
     "angular_momentum": Variable(("axis",), "kg m2 s-1", "angular momentum about the origin"),
-    "newton_iterations": Variable((), "1", "linear systems solved since the frame before"),
-    "rung": Variable((), "1", "highest model since the frame before: 0 linear, 1 corotational, 2 converged"),
-    "indicator": Variable((), "1", "what the spurious volume of no step since the frame before exceeds"),
+    "newton_iterations": Variable((), "1", "linear systems solved since the previous frame"),
+    "rung": Variable((), "1", "highest model of the steps since the previous frame", _RUNGS),
+    "indicator": Variable((), "1", "bound on spurious volume in steps since the previous frame"),
 }
-# numbers of each step since the frame before, of model = "auto"
+# numbers of each step since the previous frame, if the method chooses a model for each step
 STEPS: Mapping[str, Variable] = {
-    "step_rung": Variable(("step",), "1", "model that the step needed: 0 linear, 1 corotational, 2 converged"),
+    "step_rung": Variable(("step",), "1", "model that the step needed", _RUNGS),
     "step_solves": Variable(("step",), "1", "linear systems solved in the step"),
-    "step_indicator": Variable(("step",), "1", "what the spurious volume of the step does not exceed"),
+    "step_indicator": Variable(("step",), "1", "bound on the spurious volume of the step"),
 }
-# what does not change from frame to frame, and the coordinates
+# values that are the same in every frame, and the coordinates
 FIXED: Mapping[str, Variable] = {
     "time": Variable((), "s", "time since the start"),
     "rest_volume": Variable(("cell",), "m3", "rest volume of the cell"),
     "quantile": Variable(("quantile",), "1", "quantile of cells"),
     "axis": Variable(("axis",), "1", "axis of space"),
-    "step": Variable((), "1", "number of the time step, from 1 on"),
+    "step": Variable((), "1", "number of the time step", "counted from 1"),
 }
 _TABLES = {**VARIABLES, **STEPS, **FIXED}
 AXES = ("x", "y", "z")
-# in the plane a volume is an area and an energy is per metre of thickness
+# in the plane a volume is an area and an energy is per meter of thickness
 _PLANAR_UNITS = {"m3": "m2", "J": "J m-1", "kg m s-1": "kg s-1", "kg m2 s-1": "kg m s-1"}
 
 
@@ -72,11 +74,13 @@ def units(name: str, dimension: int) -> str:
 
 def attributes(name: str, dimension: int) -> dict[str, str]:
     """Return the CF attributes of a variable or coordinate for a body of that dimension."""
-    return {"units": units(name, dimension), "long_name": _TABLES[name].long_name}
+    variable = _TABLES[name]
+    comment = {"comment": variable.comment} if variable.comment else {}
+    return {"units": units(name, dimension), "long_name": variable.long_name, **comment}
 
 
 def spatial(vector: Floats) -> Floats:
-    """Return vectors (..., d) with three components, as files carry them: zero along z in the plane."""
+    """Return vectors (..., d) with three components, as files have them: zero along z in the plane."""
     missing = 3 - vector.shape[-1]
     return np.pad(vector, [(0, 0)] * (vector.ndim - 1) + [(0, missing)])
 
@@ -94,12 +98,12 @@ def volumes_and_angles(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
 
 
 def volumes_and_angles_by_numpy(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
-    """Return what `volumes_and_angles` does: the plain reference of the compiled one, and what triangles take."""
+    """Return the same as `volumes_and_angles`: the reference of the compiled one, and the way of triangles."""
     return signed_volumes(x, mesh.cells), angle(polar(deformation_gradient(mesh, x)))
 
 
 def measure(frame: Frame) -> Values:
-    """Return the value of every variable that can be known of this frame, by the names of VARIABLES and STEPS."""
+    """Return the values of all variables that this frame has, by the names of VARIABLES and STEPS."""
     mesh = frame.mesh
     volumes, angles = volumes_and_angles(mesh, frame.x)
     ratio = volumes / mesh.rest_volumes

@@ -1,4 +1,4 @@
-"""Recording: frames are measured and written into sinks; the summary says what the run was so far."""
+"""Recording: measures frames, writes them into sinks and sums up the run."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -14,9 +14,9 @@ from pipeline.run.measures import measure
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What a recording was: frames, work, seconds of set-up, solving and writing apart, worst volume ratio.
+    """Totals of a recording: frames, work, seconds, and the worst volume ratio.
 
-    `writing_seconds` is measuring and writing; `wall_seconds` is all from the first frame on, without the set-up.
+    `work.seconds` is solving, `writing_seconds` measuring and writing; `wall_seconds` is everything after the set-up.
     """
 
     frames: int
@@ -32,7 +32,7 @@ class RunSummary:
 
     @property
     def seconds_per_step(self) -> float:
-        """Return the solver's seconds a step; NaN before the first."""
+        """Return the solver's seconds per step; NaN before the first step."""
         return self.work.seconds / self.work.steps if self.work.steps else float("nan")
 
 
@@ -40,10 +40,10 @@ OnFrame = Callable[[Frame, "RunSummary"], None]
 
 
 class Recording:
-    """Frames measured and written into sinks, one at a time; `summary` is what the run was so far.
+    """Measures frames and writes them into sinks, one at a time; `summary` has the totals so far.
 
-    `on_frame` is called after each frame with the frame and the summary. `before` is the summary of the
-    frames that a resumed run has written already; the set-up of the first start stays the one told.
+    `on_frame` is called after each frame with the frame and the summary. `before` is the summary of the frames that a
+    resumed run has already written; the set-up time stays that of the first start.
     """
 
     def __init__(
@@ -60,15 +60,15 @@ class Recording:
         measured = measure(frame)
         for sink in self._sinks:
             sink.write(frame, measured)
-        self.summary = self._timed(_continued(self.summary, frame, measured), since=began)
+        self.summary = self._add_seconds(_update_summary(self.summary, frame, measured), since=began)
         if self._on_frame is not None:
             self._on_frame(frame, self.summary)
 
     def drain(self) -> None:
-        """Return at once: every frame taken is written."""
+        """Return at once: every frame taken has been written."""
 
     def close(self) -> None:
-        """Close every sink; the first failure is raised after the others had their turn."""
+        """Close every sink, then raise the first failure."""
         began, failures = time.perf_counter(), []
         for sink in self._sinks:
             try:
@@ -76,34 +76,34 @@ class Recording:
             except Exception as error:
                 failures.append(error)
         if self._began:
-            self.summary = self._timed(self.summary, since=began)
+            self.summary = self._add_seconds(self.summary, since=began)
         if failures:
             raise failures[0]
 
-    def _timed(self, summary: RunSummary, *, since: float) -> RunSummary:
+    def _add_seconds(self, summary: RunSummary, *, since: float) -> RunSummary:
         now = time.perf_counter()
         writing, wall = summary.writing_seconds + now - since, self._earlier + now - self._began
         return replace(summary, writing_seconds=writing, wall_seconds=wall)
 
 
 class Watcher(Protocol):
-    """Takes frames in order: a Recording, or what stands before one."""
+    """Takes frames in order: a Recording, or a RemoteRecording in front of one."""
 
     def take(self, frame: Frame) -> None:
-        """Take one frame; raises what taking it, or an earlier one, failed with."""
+        """Take one frame; raises the failure of this frame or an earlier one."""
         ...
 
     def drain(self) -> None:
-        """Return when every frame taken is written; raises what one of them failed with."""
+        """Return when every frame taken is written; raises the failure of one of them."""
         ...
 
     def close(self) -> None:
-        """End with all frames taken."""
+        """End after all frames taken; raises the first failure."""
         ...
 
 
 def drive(source: Iterator[Frame], watcher: Watcher) -> None:
-    """Hand frames to a watcher, which is closed whatever happens."""
+    """Hand frames to a watcher; closes it in any case."""
     try:
         for frame in source:
             watcher.take(frame)
@@ -118,13 +118,13 @@ def record(
     on_frame: OnFrame | None = None,
     before: RunSummary | None = None,
 ) -> RunSummary:
-    """Drive frames into sinks, each before the next is solved, and return what the run was; options as of Recording."""
+    """Write frames into sinks, each before the next is solved; returns the totals. Options as in Recording."""
     recording = Recording(sinks, on_frame=on_frame, before=before)
     drive(source, recording)
     return recording.summary
 
 
-def _continued(summary: RunSummary, frame: Frame, measured: Values) -> RunSummary:
+def _update_summary(summary: RunSummary, frame: Frame, measured: Values) -> RunSummary:
     ratio = measured["volume_ratio"]
     cell = int(np.abs(ratio - 1).argmax())
     worse = abs(ratio[cell] - 1) > abs(summary.worst_volume_ratio - 1)

@@ -1,7 +1,6 @@
 """Every linear solver gives the same motion, and says so where a matrix is none that it can take."""
 
 import sys
-from importlib import import_module
 
 import numpy as np
 import pytest
@@ -17,7 +16,8 @@ from pipeline.linear.kernels.vectors import invert_blocks
 from pipeline.linear.pardiso import Pardiso
 from pipeline.linear.rest_preconditioner import Rest, multigrid_cg, warped_cg
 from pipeline.mesh.shapes import box
-from pipeline.problem import methods
+from pipeline.problem import problem as problem_module
+from pipeline.problem import stage_solvers
 from pipeline.problem.methods import LINEAR_SOLVERS
 from pipeline.problem.stage_solvers import list_linear_solvers
 from pipeline.stepping.symplectic_euler import true_limit
@@ -126,13 +126,13 @@ def test_the_bound_of_the_frequencies_is_one(cases_folder) -> None:
 
 def test_pardiso_without_mkl_is_superlu_and_says_so(cases_folder, monkeypatch) -> None:
     expected = path(cases_folder, "superlu", "polar", **{"schedule.frames": 3})
-    for module in (pardiso, linear_solve, methods, import_module("pipeline.problem.problem")):
+    for module in (pardiso, linear_solve, stage_solvers, problem_module):
         monkeypatch.setattr(module, "library", lambda: None)
     found = path(cases_folder, "pardiso", "polar", **{"schedule.frames": 3})
     assert np.array_equal(found[-1], expected[-1])
     case = load_case(cases_folder / "bar.toml", overrides={"method.linear_solver": "pardiso"})
     problem = build(case.variant("polar"))
-    assert "superlu takes its place; to have it: pip install 'corotational-pipeline[mkl]'" in problem.notes[-1]
+    assert "superlu replaces it; to install it: pip install 'corotational-pipeline[mkl]'" in problem.notes[-1]
     told = list_linear_solvers(problem.body, problem.dt, problem.method)
     assert told == [{"name": "superlu", "reason": "the case names pardiso; MKL is not installed"}]
     with pytest.raises(SolveError, match=r"pip install 'corotational-pipeline\[mkl\]'"):

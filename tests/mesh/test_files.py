@@ -115,8 +115,8 @@ def written(path: Path, points, cells, **options) -> Path:
 
 
 def noted(path: Path, **options) -> tuple[Mesh, list[str]]:
-    notes: list[str] = []
-    return read_mesh(path, note=notes.append, **options), notes
+    mesh = read_mesh(path, **options)
+    return mesh, list(mesh.notes)
 
 
 # Formats

@@ -149,9 +149,9 @@ def test_the_limit_itself_is_computed_only_above_the_bound_over_cells(tmp_path, 
 
 def test_consistent_mass_is_refused_where_it_is_written_and_lumped_with_a_note_where_inherited(tmp_path):
     schedule = {"dt": 1e-4, "frames": 1}
-    with pytest.raises(CaseError, match=r"method\.mass: symplectic_euler takes 'lumped'"):
+    with pytest.raises(CaseError, match=r"method\.mass: symplectic_euler needs 'lumped'"):
         built(tmp_path, method=EXPLICIT | {"mass": "consistent"}, schedule=schedule)
-    with pytest.raises(CaseError, match="symplectic_euler takes 'lumped'"):
+    with pytest.raises(CaseError, match="symplectic_euler needs 'lumped'"):
         variants = {"polar": {"method.stepper": "symplectic_euler", "method.mass": "consistent"}}
         built(tmp_path, variants=variants, schedule=schedule)
     variants = {"polar": {"method.stepper": "symplectic_euler"}}
