@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,14 @@ class Case(CaseFile):
     def derived_keys(self) -> frozenset[str]:
         names = {"path", "variant_name", "own_keys", "notes"}
         return frozenset(names if self.variants else names | {"variants"})
+
+    def __repr__(self) -> str:
+        schedule = self.schedule
+        variants = self.variant_name or f"{len(self.variant_names)} variants"
+        return f"<Case {self.name}: {variants}, dt = {schedule.dt:g} s, {schedule.frames} frames, from {self.path}>"
+
+    def _repr_html_(self) -> str:
+        return f"<b>Case {escape(self.name)}</b><pre>{escape(self.to_toml())}</pre>"
 
     @property
     def variant_names(self) -> tuple[str, ...]:

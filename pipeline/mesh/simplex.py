@@ -46,7 +46,7 @@ def _determinants(D: Floats) -> Floats:
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mesh:
     """A rest mesh: points (n, d) [m] and positively oriented cells (e, d + 1).
 
@@ -81,6 +81,9 @@ class Mesh:
             )
         self.points.setflags(write=False)
         self.cells.setflags(write=False)
+
+    def __repr__(self) -> str:
+        return f"<Mesh {self.name}: {len(self.points)} nodes, {len(self.cells)} cells, {self.dimension}D>"
 
     @property
     def dimension(self) -> int:

@@ -28,7 +28,7 @@ from pipeline.sinks.writer_process import WriterProcess
 from pipeline.system.version import VERSION
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CaseResult:
     """The results of a run: its variants, the datasets and pictures of all of them, and notes for the user."""
 
@@ -36,6 +36,10 @@ class CaseResult:
     variants: tuple[VariantResult, ...]
     made: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        variants = ", ".join(f"{variant.name} {variant.status}" for variant in self.variants)
+        return f"<CaseResult in {self.folder}: {variants}>"
 
     @property
     def exit_code(self) -> int:

@@ -41,7 +41,7 @@ _ROUNDED = "output.precision = 'float32': statistics.nc cannot be rebuilt from t
 _PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class VariantResult:
     """The folder of a variant, its outcome, and its run.json."""
 
@@ -49,6 +49,9 @@ class VariantResult:
     folder: Path
     status: Status
     run: dict[str, Any]
+
+    def __repr__(self) -> str:
+        return f"<VariantResult {self.name}: {self.status}, in {self.folder}>"
 
 
 def read_run(folder: Path) -> dict[str, Any]:

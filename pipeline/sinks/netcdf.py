@@ -1,5 +1,6 @@
 """statistics.nc: the numbers of every frame, appended and synced, so that a killed run keeps all its frames."""
 
+import os
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ _CELLS_CHUNK = 2048  # numbers of cells, where a frame has fewer: the index of c
 class NetcdfSink:
     """Appends frames to one netCDF file (CF-1.11, float64), a new one unless `earlier` frames are in it."""
 
-    def __init__(self, path: Path, *, title: str, earlier: int = 0) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, title: str, earlier: int = 0) -> None:
         self.path = Path(path)
         self.title = title
         self._dataset: Any = None
