@@ -67,10 +67,10 @@ def _tradeoff_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _tradeoff(options: argparse.Namespace) -> int:
-    from pipeline.studies.tradeoff.settings import planned
+    from pipeline.studies.tradeoff.settings import make_plan
 
     plans = [
-        planned(
+        make_plan(
             case,
             tolerance=options.tolerance,
             dts=options.dts,
@@ -113,10 +113,10 @@ def _tradeoff_cases(options: argparse.Namespace) -> list[Case]:
 
 def _print_tradeoff(plan: "Plan", options: argparse.Namespace) -> None:
     """Run the study of one case and print its answer."""
-    from pipeline.studies.tradeoff.study import tradeoff
+    from pipeline.studies.tradeoff.study import study_tradeoff
 
     with progress(options.quiet) as bar:
-        found = tradeoff(
+        found = study_tradeoff(
             plan,
             options.out / plan.case.name,
             repeats=options.repeats,
@@ -175,12 +175,12 @@ def _scaling_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _scaling(options: argparse.Namespace) -> int:
-    from pipeline.studies.scaling.study import scaling
+    from pipeline.studies.scaling.study import study_scaling
 
     if options.scheduler:
         raise CaseError("--scheduler: costs are measured on this machine, one process after the other; leave it out")
     with progress(options.quiet) as bar:
-        found = scaling(
+        found = study_scaling(
             [load_case(path) for path in options.cases],
             options.out,
             cells=[_counts(text) for text in options.cells],

@@ -25,8 +25,8 @@ from pipeline.formats.atomic import write_whole
 from pipeline.results.lock import lock_folder
 from pipeline.system.version import VERSION
 
-Result = dict[str, Any]
-Task = Callable[[Mapping[str, Any]], Result]
+PointResult = dict[str, Any]
+Task = Callable[[Mapping[str, Any]], PointResult]
 
 log = logging.getLogger(__name__)
 _FILE_SAFE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}")
@@ -34,7 +34,7 @@ _FILE_SAFE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}")
 _ALLOWED_FAILURES = 1
 _THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA")
 # Ctrl-C reaches every process of the terminal; this one closes the others
-_DEAF = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+_IGNORE_INTERRUPTS = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
 _CONNECT_SECONDS = 10
 _CLOSE_SECONDS = 5
 
@@ -50,7 +50,7 @@ class Point:
 OnResult = Callable[[Point, int, int], None]
 
 
-def sweep(
+def run_sweep(
     task: Task,
     points: Sequence[Point],
     folder: Path,
@@ -58,7 +58,7 @@ def sweep(
     scheduler: str | None = None,
     timed: bool = False,
     on_result: OnResult | None = None,
-) -> dict[str, Result]:
+) -> dict[str, PointResult]:
     """Return the result of every point by its key, in the order of the points; each is in folder/points/<key>.json.
 
     `task` takes the settings and returns what JSON can hold; it must be importable where the workers are. NaN and
@@ -70,34 +70,34 @@ def sweep(
     """
     _check_keys(points)
     with lock_folder(folder):
-        return _swept(task, points, folder, scheduler, timed, on_result)
+        return _complete_sweep(task, points, folder, scheduler, timed, on_result)
 
 
-def _swept(
+def _complete_sweep(
     task: Task, points: Sequence[Point], folder: Path, scheduler: str | None, timed: bool, on_result: OnResult | None
-) -> dict[str, Result]:
-    results = {point.key: found for point in points if (found := _stored(point, folder)) is not None}
+) -> dict[str, PointResult]:
+    results = {point.key: found for point in points if (found := _read_result(point, folder)) is not None}
     missing = [point for point in points if point.key not in results]
     told = 0
     for point in points if on_result else ():
         if point.key in results and on_result:
             told += 1
             on_result(point, told, len(points))
-    for point, result in _computed(task, missing, scheduler, timed) if missing else ():
-        results[point.key] = _store(point, result, folder)
+    for point, result in _compute_points(task, missing, scheduler, timed) if missing else ():
+        results[point.key] = _write_result(point, result, folder)
         if on_result:
             on_result(point, len(results), len(points))
     return {point.key: results[point.key] for point in points}
 
 
-def plain(value: Any) -> Any:
+def to_json(value: Any) -> Any:
     """Return the value as JSON holds it: arrays as lists, NaN and infinities as None."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return to_json(value.tolist())
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -110,29 +110,29 @@ def _check_keys(points: Sequence[Point]) -> None:
         seen.add(key)
 
 
-def _path(point: Point, folder: Path) -> Path:
+def _make_path(point: Point, folder: Path) -> Path:
     return folder / "points" / f"{point.key}.json"
 
 
-def _stored(point: Point, folder: Path) -> Result | None:
+def _read_result(point: Point, folder: Path) -> PointResult | None:
     """Return what an earlier sweep found of this very point; None where it has to be computed."""
     try:
-        read = json.loads(_path(point, folder).read_text())
-        same = (read["settings"], read["version"]) == (plain(point.settings), VERSION)
+        read = json.loads(_make_path(point, folder).read_text())
+        same = (read["settings"], read["version"]) == (to_json(point.settings), VERSION)
         return dict(read["result"]) if same and "unexpected" not in read["result"] else None
     except (OSError, ValueError, KeyError, TypeError):  # not there, or no file of ours
         return None
 
 
-def _store(point: Point, result: Result, folder: Path) -> Result:
-    document = {"settings": plain(point.settings), "version": VERSION, "result": plain(result)}
-    write_whole(_path(point, folder), json.dumps(document, indent=1, allow_nan=False) + "\n")
+def _write_result(point: Point, result: PointResult, folder: Path) -> PointResult:
+    document = {"settings": to_json(point.settings), "version": VERSION, "result": to_json(result)}
+    write_whole(_make_path(point, folder), json.dumps(document, indent=1, allow_nan=False) + "\n")
     return dict(document["result"])
 
 
-def _computed(
+def _compute_points(
     task: Task, points: Sequence[Point], scheduler: str | None, timed: bool
-) -> Iterator[tuple[Point, Result]]:
+) -> Iterator[tuple[Point, PointResult]]:
     """Yield each point with its result, as they come."""
     if find_spec("distributed") is None:
         if scheduler is not None:
@@ -140,21 +140,21 @@ def _computed(
                 f"scheduler {scheduler}: needs dask.distributed: pip install 'corotational-pipeline[study]'"
             )
         log.warning("no dask.distributed (pip install 'corotational-pipeline[study]'): one point after the other, here")
-        yield from ((point, outcome(task, point.settings)) for point in points)
+        yield from ((point, run_task(task, point.settings)) for point in points)
         return
-    with _client(scheduler, 1 if timed else len(points)) as client:
+    with _open_client(scheduler, 1 if timed else len(points)) as client:
         lost = []
-        for point, result in _run(client, task, points, 1 if timed else len(points)):
+        for point, result in _run_points(client, task, points, 1 if timed else len(points)):
             if "lost" in result:
                 lost.append(point)  # or another point on that worker lost it: the second time each is alone
             else:
                 yield point, result
-        for point, result in _run(client, task, lost, 1):
+        for point, result in _run_points(client, task, lost, 1):
             yield point, {key: value for key, value in result.items() if key != "lost"}
 
 
 @contextmanager
-def _client(scheduler: str | None, most: int) -> Iterator[Any]:
+def _open_client(scheduler: str | None, most: int) -> Iterator[Any]:
     """Yield a client of the scheduler at that address, or of a cluster of at most that many processes here."""
     import dask
     from distributed import Client, LocalCluster
@@ -175,7 +175,11 @@ def _client(scheduler: str | None, most: int) -> Iterator[Any]:
     spoken.setLevel(logging.CRITICAL)  # a worker that dies is told by its point
     with dask.config.set({"distributed.scheduler.allowed-failures": _ALLOWED_FAILURES}):
         cluster = LocalCluster(
-            **asked, dashboard_address="127.0.0.1:0", env=environment, silence_logs=logging.CRITICAL, preload=[_DEAF]
+            **asked,
+            dashboard_address="127.0.0.1:0",
+            env=environment,
+            silence_logs=logging.CRITICAL,
+            preload=[_IGNORE_INTERRUPTS],
         )
         try:
             with Client(cluster, set_as_default=False) as client:
@@ -185,7 +189,7 @@ def _client(scheduler: str | None, most: int) -> Iterator[Any]:
             spoken.setLevel(level)
 
 
-def _run(client: Any, task: Task, points: Sequence[Point], most: int) -> Iterator[tuple[Point, Result]]:
+def _run_points(client: Any, task: Task, points: Sequence[Point], most: int) -> Iterator[tuple[Point, PointResult]]:
     """Yield each point with its result, at most so many of them at work; "lost" in it: its worker died."""
     from distributed import KilledWorker, as_completed
 
@@ -195,7 +199,7 @@ def _run(client: Any, task: Task, points: Sequence[Point], most: int) -> Iterato
     def submitted(count: int) -> list[Any]:
         futures = []
         for point in islice(waiting, count):
-            future = client.submit(outcome, task, dict(point.settings), pure=False)
+            future = client.submit(run_task, task, dict(point.settings), pure=False)
             point_of[future.key] = point
             futures.append(future)
         return futures
@@ -217,7 +221,7 @@ def _run(client: Any, task: Task, points: Sequence[Point], most: int) -> Iterato
         running.update(submitted(1))
 
 
-def outcome(task: Task, settings: Mapping[str, Any]) -> Result:
+def run_task(task: Task, settings: Mapping[str, Any]) -> PointResult:
     """Return what the task returns, on one thread; an error as {"error": text}, "unexpected" if it is none of ours."""
     try:
         with threadpool_limits(limits=1):

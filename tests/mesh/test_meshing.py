@@ -102,18 +102,18 @@ def test_the_bodies_stand_upright_and_the_scale_gives_the_published_largest_tet(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mushroom", "armadillo"])
 def test_the_script_still_makes_the_counts(name):
-    from tools.meshing.build import SHAPES, tetrahedralised
+    from tools.meshing.build import SHAPES, make_mesh
 
-    mesh = tetrahedralised(SHAPES[name]())  # which raises where counts or surface are wrong
+    mesh = make_mesh(SHAPES[name]())  # which raises where counts or surface are wrong
     assert (len(mesh.points), len(mesh.cells)) == COUNTS[name]
     # with the versions in constraints.txt it is the committed mesh to the last bit; others may round another way
     assert quality(mesh).min() > 0.3 and np.median(quality(mesh)) > 0.8
 
 
 def test_the_script_still_makes_the_sliver():
-    from tools.meshing.build import with_sliver
+    from tools.meshing.build import add_sliver
 
-    assert with_sliver(mesh_of("mushroom")).points == pytest.approx(mesh_of("mushroom_sliver").points, abs=1e-9)
+    assert add_sliver(mesh_of("mushroom")).points == pytest.approx(mesh_of("mushroom_sliver").points, abs=1e-9)
 
 
 # The motions

@@ -28,7 +28,7 @@ from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.methods import IMPLICIT_STEPPERS
 from pipeline.stepping.state import State
-from pipeline.studies.stability.perturb_mesh import apexes_moved
+from pipeline.studies.stability.perturbations import move_apexes
 from tests.bodies import METHODS, clamped_bar, motion, solid, spin
 from tests.stepping.test_inversion import collapsed, scrambled
 
@@ -188,7 +188,7 @@ SAGS = {0.1: 0.01117, 1e-3: 0.01010}
 @EVERY_WAY
 def test_slivers_do_not_keep_a_bar_from_its_balance(way, time_stepper, height):
     plain = clamped_bar()
-    X = apexes_moved(plain.mesh, plain.free, 1 - height, seed=0)
+    X = move_apexes(plain.mesh, plain.free, 1 - height, seed=0)
     mesh = Mesh(X, plain.mesh.cells)
     least = (mesh.rest_volumes / plain.mesh.rest_volumes).min()
     assert least == pytest.approx(min(height, 1.0), rel=1e-9)
@@ -203,7 +203,7 @@ def test_slivers_do_not_keep_a_bar_from_its_balance(way, time_stepper, height):
 @pytest.mark.parametrize("depth", [0.2, 0.8, 1.2])
 def test_apexes_pushed_through_their_bases_come_back_in_every_method(way, time_stepper, depth):
     body = clamped_bar(**WAYS[way][0])
-    x = apexes_moved(body.mesh, body.free, 1 + depth, seed=0)
+    x = move_apexes(body.mesh, body.free, 1 + depth, seed=0)
     assert ratios(body, State(0, x, x)).min() == pytest.approx(-depth, rel=1e-9)
     # L-stable: large steps damp all of it
     last = ended(body, way, time_stepper, 0.5, 60, 0 * x, x)

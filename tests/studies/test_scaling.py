@@ -13,10 +13,10 @@ from pipeline.cli import main
 from pipeline.errors import CaseError, MeshError
 from pipeline.studies.scaling import peers
 from pipeline.studies.scaling import step_cost as cost
-from pipeline.studies.scaling.peers import PEERS, available, flex, heard
-from pipeline.studies.scaling.peers import measured as measured_peer
-from pipeline.studies.scaling.step_cost import METHODS, measured
-from pipeline.studies.scaling.study import Scaling, scaling
+from pipeline.studies.scaling.peers import PEERS, capture_warnings, list_installed, make_flex
+from pipeline.studies.scaling.peers import measure_peer as measured_peer
+from pipeline.studies.scaling.step_cost import METHODS, measure_step_cost
+from pipeline.studies.scaling.study import Scaling, study_scaling
 
 NUMBERS = ("tets", "nodes", "dt", "ms", "ns_per_tet", "setup_s", "peak_MB", "bytes", "bound_ms")
 
@@ -26,7 +26,7 @@ def test_every_method_has_a_row_with_its_numbers(cases_folder, tmp_path, capsys)
     arguments = ["study", "scaling", str(cases_folder / "bar_as_printed.toml"), "--cells", "1x3x1", "--quiet"]
     assert main([*arguments, "--out", str(tmp_path)]) == 0
     said = json.loads((tmp_path / "bench.json").read_text())
-    assert [row["method"] for row in said["rows"]] == [*METHODS, *available()]
+    assert [row["method"] for row in said["rows"]] == [*METHODS, *list_installed()]
     for row in said["rows"][: len(METHODS)]:
         assert row["error"] is None and row["tets"] == 18 and all(row[name] > 0 for name in NUMBERS)
         assert (row["baseline_ms"] is not None) == (row["method"] == "one_solve")
@@ -41,7 +41,7 @@ def test_every_method_has_a_row_with_its_numbers(cases_folder, tmp_path, capsys)
 
 def test_a_point_says_what_it_solved_with(cases_folder) -> None:
     point = {"case": str(cases_folder / "bar_as_printed.toml"), "variant": "polar", "rtol": 1e-6, "baseline": False}
-    row = measured(point | {"method": "one_solve", "cells": [1, 3, 1]})
+    row = measure_step_cost(point | {"method": "one_solve", "cells": [1, 3, 1]})
     assert row["linear_solver"] == ["banded"] and row["solves"] == 1 and row["linear_iterations"] == 0
     assert row["ns_per_tet"] == pytest.approx(1e6 * row["ms"] / 18)
 
@@ -49,21 +49,22 @@ def test_a_point_says_what_it_solved_with(cases_folder) -> None:
 def test_the_peak_of_memory_is_the_point_s_own_and_not_of_plain_scipy(cases_folder, monkeypatch) -> None:
     here = np.ones(60_000_000)  # what the process that starts it holds is not its own
     code = (
-        "from pipeline.studies.scaling.step_cost import peak_megabytes as p; a = p(); b = b'1' * 10**8; print(a, p())"
+        "from pipeline.studies.scaling.step_cost import read_peak_megabytes as p; a = p(); "
+        "b = b'1' * 10**8; print(a, p())"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     before, after = map(float, said.split())
     assert before < here.nbytes / 1e6 and after - before == pytest.approx(100, rel=0.1)
     asked: list[str] = []
-    monkeypatch.setattr(cost, "peak_megabytes", lambda: asked.append("peak"))
-    monkeypatch.setattr(cost, "_beside_plain", lambda *_: (1.0, asked.append("plain")))
-    measured(point(cases_folder, "one_solve") | {"baseline": True})
+    monkeypatch.setattr(cost, "read_peak_megabytes", lambda: asked.append("peak"))
+    monkeypatch.setattr(cost, "_race_plain", lambda *_: (1.0, asked.append("plain")))
+    measure_step_cost(point(cases_folder, "one_solve") | {"baseline": True})
     assert asked == ["peak", "plain"]
 
 
 def test_wrong_input_is_an_error_and_nothing_measured_too(cases_folder, tmp_path) -> None:
     with pytest.raises(CaseError, match="--method 'quick': is not one of linear, one_solve"):
-        scaling([load_case(cases_folder / "bar.toml")], tmp_path, methods=["quick"])
+        study_scaling([load_case(cases_folder / "bar.toml")], tmp_path, methods=["quick"])
     arguments = ["study", "scaling", str(cases_folder / "bar.toml"), "--out", str(tmp_path), "--method", "linear"]
     assert main([*arguments, "--cells", "2by8"]) == 2
     assert main([*arguments, "--scheduler", "tcp://127.0.0.1:1"]) == 2
@@ -92,7 +93,7 @@ def test_felupe_assembles_the_matrix_that_is_ours_at_rest(cases_folder, monkeypa
     row = measured_peer(point(cases_folder, "felupe"))
     assert row["tets"] == 18 and row["version"] == version("felupe") and "no step" in row["differs"]
     assert row["ms"] > 0 and row["ours_ms"] > 0 and row["ns_per_tet"] == pytest.approx(1e6 * row["ms"] / 18)
-    body = cost.point_problem(point(cases_folder, "one_solve")).body
+    body = cost.build_point(point(cases_folder, "one_solve")).body
     ours = body.pattern.matrix(body.linearise(body.mesh.points)[1])
     assert abs(seen[0].assemble.matrix() - ours).max() < 1e-12 * abs(ours).max()
 
@@ -103,9 +104,9 @@ def test_mujoco_hangs_as_deep_as_ours(cases_folder, tmp_path, monkeypatch) -> No
     monkeypatch.chdir(tmp_path)
     row = measured_peer(point(cases_folder, "mujoco"))
     assert row["tets"] == 18 and row["ms"] > 0 and row["ours_ms"] > 0 and "Saint Venant" in row["differs"]
-    problem = cost.point_problem(point(cases_folder, "one_solve"))
-    with heard():
-        model, data = flex(problem)
+    problem = cost.build_point(point(cases_folder, "one_solve"))
+    with capture_warnings():
+        model, data = make_flex(problem)
     assert model.nflexelem == 18 and model.nv == 3 * len(problem.body.free) and model.opt.timestep == problem.dt
     stepper, state = problem.prepare(), problem.start
     for _ in range(100):  # both are damped by their step, and come to rest

@@ -14,8 +14,8 @@ from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.studies.stability import study as stability
 from pipeline.studies.stability import trial
-from pipeline.studies.stability.perturb_mesh import apexes_moved, scrambled
-from pipeline.studies.stability.slices import METHODS, SLICES, Scene, trial_settings
+from pipeline.studies.stability.perturbations import move_apexes, scramble_nodes
+from pipeline.studies.stability.slices import METHODS, SLICES, ExtremeScene, make_trial_settings
 from tests.bodies import PLANAR, assert_conventional, write_case
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,28 +30,28 @@ PLATE = rectangle((1.0, 3.0), (2, 6))
 @pytest.mark.parametrize("part", [0.5, 0.9, 0.999, 1.2, 3.0])
 def test_apexes_go_the_part_of_the_way_to_their_bases_that_is_asked_for(mesh, part):
     X, free = mesh.points, np.arange(1, len(mesh.points))
-    x = apexes_moved(mesh, free, part, seed=0)
+    x = move_apexes(mesh, free, part, seed=0)
     ratio = signed_volumes(x, mesh.cells) / mesh.rest_volumes
     assert ratio.min() == pytest.approx(1 - part, rel=1e-9)
     moved = np.flatnonzero((x != X).any(axis=1))
     assert 1 <= len(moved) <= 8 and 0 not in moved
     assert (np.isin(mesh.cells, moved).sum(axis=1) <= 1).all()  # no two of them in a cell
-    assert np.array_equal(x, apexes_moved(mesh, free, part, seed=0))
+    assert np.array_equal(x, move_apexes(mesh, free, part, seed=0))
 
 
 def test_an_apex_that_cannot_be_moved_is_refused_and_one_cell_alone_is_not():
     one = Mesh(np.concatenate([np.zeros((1, 3)), np.eye(3)]), np.arange(4)[None])
-    x = apexes_moved(one, np.array([3]), 1.2, seed=0)
+    x = move_apexes(one, np.array([3]), 1.2, seed=0)
     assert x[3, 2] == pytest.approx(-0.2)
     with pytest.raises(MeshError, match="no free node"):
-        apexes_moved(one, np.array([], dtype=np.int64), 0.5, seed=0)
+        move_apexes(one, np.array([], dtype=np.int64), 0.5, seed=0)
 
 
 def test_a_scramble_moves_free_nodes_only_and_by_no_more_than_asked():
     free = np.arange(9, 81)
-    away = scrambled(BAR, free, 3.0, seed=1) - BAR.points
+    away = scramble_nodes(BAR, free, 3.0, seed=1) - BAR.points
     assert not away[:9].any() and 2.9 < np.abs(away).max() <= 3.0
-    assert not np.array_equal(away, scrambled(BAR, free, 3.0, seed=2) - BAR.points)
+    assert not np.array_equal(away, scramble_nodes(BAR, free, 3.0, seed=2) - BAR.points)
 
 
 # One trial
@@ -60,7 +60,9 @@ def test_a_scramble_moves_free_nodes_only_and_by_no_more_than_asked():
 def settings(folder: Path, name: str, value: float, method: str, **sections: object) -> dict:
     case = load_case(write_case(folder, **sections))
     mesh = PLATE if "mesh" in sections else box((1.0, 3.0, 1.0), (1, 3, 1))
-    return trial_settings(Scene.of(case, mesh), name, value, method, steps=sections.pop("steps", 4), tolerance=0.05)
+    return make_trial_settings(
+        ExtremeScene.of(case, mesh), name, value, method, steps=sections.pop("steps", 4), tolerance=0.05
+    )
 
 
 def check(result: dict) -> None:
@@ -90,7 +92,7 @@ def check(result: dict) -> None:
     ],
 )
 def test_a_trial_ends_as_its_method_does(tmp_path, name, value, method, wanted):
-    result = trial.trial(settings(tmp_path, name, value, method))
+    result = trial.run_trial(settings(tmp_path, name, value, method))
     check(result)
     assert result["outcome"] == wanted
     assert bool(result["message"]) == (wanted == "refused")
@@ -100,24 +102,24 @@ def test_a_trial_ends_as_its_method_does(tmp_path, name, value, method, wanted):
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_at_the_extremes_of_every_slice_is_told_in_numbers_in_the_plane_too(tmp_path, name, method):
     case = load_case(write_case(tmp_path, **PLANAR))
-    scene = Scene.of(case, PLATE)
+    scene = ExtremeScene.of(case, PLATE)
     values = SLICES[name].values(scene)
     for value in (values[0], values[-1]):
-        result = trial.trial(trial_settings(scene, name, value, method, steps=2, tolerance=0.05))
+        result = trial.run_trial(make_trial_settings(scene, name, value, method, steps=2, tolerance=0.05))
         check(result)
         assert result["outcome"] in trial.OUTCOMES
 
 
 def test_spin_of_a_linear_body_swells_as_the_law_says(tmp_path):
     """J = 1 + (omega t)^2, with omega t = 4 steps of 2 rad."""
-    result = trial.trial(settings(tmp_path, "spin", 2.0, "linear backward_euler"))
+    result = trial.run_trial(settings(tmp_path, "spin", 2.0, "linear backward_euler"))
     assert result["worst_volume_ratio"] == pytest.approx(1 + 8.0**2, rel=1e-6)
 
 
 def test_a_run_that_blows_up_is_a_solve_error_with_its_message_and_what_stood_before_it(tmp_path):
     asked = settings(tmp_path, "spin", 20.0, "gram_schmidt backward_euler")
     asked["changes"]["schedule"]["frames"] = 60
-    result = trial.trial(asked)
+    result = trial.run_trial(asked)
     check(result)
     assert result["outcome"] == "solve_error" and "the step is unstable" in result["message"]
     assert 3 <= result["steps"] < 60 and result["energy_growth"] > 10
@@ -126,7 +128,7 @@ def test_a_run_that_blows_up_is_a_solve_error_with_its_message_and_what_stood_be
 def test_where_the_reference_fails_a_run_is_not_judged(tmp_path):
     asked = settings(tmp_path, "dt", 0.1, "polar backward_euler")
     asked["changes"]["method"] |= {"max_iterations": 1}
-    result = trial.trial(asked)
+    result = trial.run_trial(asked)
     check(result)
     assert result["outcome"] == "not_judged" and result["volume_error"] == 0.0
 
@@ -141,9 +143,9 @@ def test_right_volumes_in_wrong_places_are_a_wrong_motion():
         ({}, 1.0, "not_judged"),
     ]:
         course.energy_growth = growth
-        assert trial._outcome(course, errors, 0.05) == wanted
+        assert trial._judge_outcome(course, errors, 0.05) == wanted
     course.message = "no"
-    assert trial._outcome(course, {}, 0.05) == "solve_error"
+    assert trial._judge_outcome(course, {}, 0.05) == "solve_error"
 
 
 def test_settings_are_plain_and_a_change_of_the_file_is_another_trial(tmp_path):
@@ -165,8 +167,8 @@ def serial(monkeypatch) -> None:
 @pytest.fixture
 def small(monkeypatch) -> None:
     methods = {m: METHODS[m] for m in ("linear backward_euler", "auto bdf2", "polar symplectic_euler")}
-    for module in ("stability", "stability_figure"):
-        monkeypatch.setattr(f"pipeline.studies.{module}.METHODS", methods)
+    for module in ("study", "figure"):
+        monkeypatch.setattr(f"pipeline.studies.stability.{module}.METHODS", methods)
 
 
 def test_a_study_is_a_conventional_dataset_a_picture_and_lines(tmp_path, serial, small):
@@ -212,7 +214,7 @@ def test_a_fault_of_the_program_is_an_outcome_and_not_the_end(tmp_path, serial, 
     def broken(asked):
         raise ZeroDivisionError("by zero")
 
-    monkeypatch.setattr("pipeline.studies.stability.study.trial", broken)
+    monkeypatch.setattr("pipeline.studies.stability.study.run_trial", broken)
     study = stability.study_stability(load_case(write_case(tmp_path)), tmp_path, slices=("sliver",), steps=2)
     assert {r["outcome"] for r in study.results.values()} == {"unexpected_error"}
     assert all(r["message"] == "ZeroDivisionError: by zero" for r in study.results.values())
@@ -238,7 +240,7 @@ def test_the_command_prints_its_lines_and_goes_on_where_it_was(tmp_path, capsys,
     assert main([*command, "--quiet"]) == 0
     first = capsys.readouterr()
     assert first.out.count(" survives everything") == 3 and first.err.count("\n") <= 1
-    monkeypatch.setattr("pipeline.studies.stability.study.trial", None)  # nothing is left to be computed
+    monkeypatch.setattr("pipeline.studies.stability.study.run_trial", None)  # nothing is left to be computed
     assert main(command) == 0
     again = capsys.readouterr().out
     assert again.startswith(first.out) and "stability.nc" in again

@@ -13,7 +13,7 @@ import pytest
 from pipeline.errors import PipelineError, SolveError
 from pipeline.results.lock import lock_folder
 from pipeline.studies import sweep as sweep_module
-from pipeline.studies.sweep import Point, sweep
+from pipeline.studies.sweep import Point, run_sweep
 
 
 def points(*numbers, **more):
@@ -26,7 +26,7 @@ def square():  # tasks are local, so that cloudpickle takes them to the workers 
 
 def test_points_are_computed_elsewhere_and_stand_as_files(tmp_path):
     seen = []
-    found = sweep(square(), points(1, 2, 3), tmp_path, on_result=lambda p, done, total: seen.append((done, total)))
+    found = run_sweep(square(), points(1, 2, 3), tmp_path, on_result=lambda p, done, total: seen.append((done, total)))
     assert {key: result["square"] for key, result in found.items()} == {"point-1": 1, "point-2": 4, "point-3": 9}
     assert list(found) == ["point-1", "point-2", "point-3"] and seen == [(1, 3), (2, 3), (3, 3)]
     assert os.getpid() not in {result["process"] for result in found.values()}
@@ -42,11 +42,11 @@ def here(monkeypatch):
 
 
 def test_without_distributed_the_points_run_here_and_it_says_so(tmp_path, here, caplog):
-    found = sweep(square(), points(2, 3), tmp_path)
+    found = run_sweep(square(), points(2, 3), tmp_path)
     assert [r["square"] for r in found.values()] == [4, 9] and found["point-2"]["process"] == os.getpid()
     assert "no dask.distributed" in caplog.text
     with pytest.raises(PipelineError, match="needs dask"):
-        sweep(square(), points(4), tmp_path, scheduler="tcp://127.0.0.1:1")
+        run_sweep(square(), points(4), tmp_path, scheduler="tcp://127.0.0.1:1")
 
 
 def test_a_sweep_goes_on_where_it_stopped(tmp_path, here):
@@ -59,11 +59,11 @@ def test_a_sweep_goes_on_where_it_stopped(tmp_path, here):
         return {"value": np.array([settings["number"], np.nan])}
 
     with pytest.raises(KeyboardInterrupt):
-        sweep(task, points(1, 2, 3, 4), tmp_path)
+        run_sweep(task, points(1, 2, 3, 4), tmp_path)
     assert done == [1, 2]
     done.append("again")
     seen = []
-    found = sweep(task, points(1, 2, 3, 4), tmp_path, on_result=lambda p, done, total: seen.append(done))
+    found = run_sweep(task, points(1, 2, 3, 4), tmp_path, on_result=lambda p, done, total: seen.append(done))
     assert done == [1, 2, "again", 3, 4] and seen == [1, 2, 3, 4]
     assert found["point-1"] == {"value": [1.0, None]} and list(found) == ["point-1", "point-2", "point-3", "point-4"]
 
@@ -75,17 +75,17 @@ def test_other_settings_versions_and_torn_files_are_computed_again(tmp_path, her
         calls.append(dict(settings))
         return {}
 
-    sweep(task, points(1, dt=0.1), tmp_path)
-    sweep(task, points(1, dt=0.1), tmp_path)
+    run_sweep(task, points(1, dt=0.1), tmp_path)
+    run_sweep(task, points(1, dt=0.1), tmp_path)
     assert len(calls) == 1
-    sweep(task, points(1, dt=0.2), tmp_path)
+    run_sweep(task, points(1, dt=0.2), tmp_path)
     assert len(calls) == 2
     monkeypatch.setattr(sweep_module, "VERSION", "another")
-    sweep(task, points(1, dt=0.2), tmp_path)
+    run_sweep(task, points(1, dt=0.2), tmp_path)
     assert len(calls) == 3
     for torn in ('{"settings": {"num', "[]", '{"settings": {}}'):
         (tmp_path / "points/point-1.json").write_text(torn)
-        sweep(task, points(1, dt=0.2), tmp_path)
+        run_sweep(task, points(1, dt=0.2), tmp_path)
     assert len(calls) == 6
 
 
@@ -97,7 +97,7 @@ def test_an_error_is_the_result_of_its_point(tmp_path, here):
         raise SolveError("it blew up") if settings["number"] == 1 else ZeroDivisionError("a bug")
 
     for _ in range(2):
-        found = sweep(task, points(1, 2), tmp_path)
+        found = run_sweep(task, points(1, 2), tmp_path)
         assert found["point-1"] == {"error": "SolveError: it blew up"}
         assert found["point-2"] == {"error": "ZeroDivisionError: a bug", "unexpected": True}
     assert tried == [1, 2, 2]  # what is no error of ours is tried again
@@ -105,7 +105,7 @@ def test_an_error_is_the_result_of_its_point(tmp_path, here):
 
 def test_two_sweeps_do_not_share_a_folder(tmp_path, here):
     with lock_folder(tmp_path), pytest.raises(PipelineError, match="another run"):
-        sweep(square(), points(1), tmp_path)
+        run_sweep(square(), points(1), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_two_sweeps_do_not_share_a_folder(tmp_path, here):
 )
 def test_keys_name_files(tmp_path, here, keys, message):
     with pytest.raises(PipelineError, match=message):
-        sweep(square(), [Point(key, {}) for key in keys], tmp_path)
+        run_sweep(square(), [Point(key, {}) for key in keys], tmp_path)
 
 
 @pytest.mark.slow
@@ -133,7 +133,7 @@ def test_a_lost_worker_costs_its_task_only(tmp_path):
         time.sleep(0.2)
         return {"number": number}
 
-    found = sweep(task, points(1, 2, 3, 4, 5), tmp_path / "study")
+    found = run_sweep(task, points(1, 2, 3, 4, 5), tmp_path / "study")
     assert found["point-3"].pop("error").startswith("KilledWorker: ")
     assert found["point-3"] == {"unexpected": True}
     assert all(found[f"point-{n}"] == {"number": n} for n in (1, 2, 4, 5))
@@ -158,7 +158,7 @@ def test_a_worker_killed_from_outside_is_replaced_and_timed_points_run_one_at_a_
 
     killer = threading.Thread(target=kill_the_second)
     killer.start()
-    found = sweep(task, points(1, 2, 3), tmp_path, timed=True)
+    found = run_sweep(task, points(1, 2, 3), tmp_path, timed=True)
     killer.join()
     spans = sorted((r["began"], r["ended"]) for r in found.values())
     assert len(spans) == 3 and all(a[1] <= b[0] for a, b in pairwise(spans))
@@ -170,7 +170,7 @@ def test_an_existing_scheduler_is_used_and_left_alone(tmp_path):
     from distributed import Client, LocalCluster
 
     with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
-        found = sweep(square(), points(5), tmp_path, scheduler=cluster.scheduler_address)
+        found = run_sweep(square(), points(5), tmp_path, scheduler=cluster.scheduler_address)
         assert found["point-5"] == {"square": 25, "process": os.getpid()}
         with Client(cluster) as client:
             assert len(client.scheduler_info()["workers"]) == 1
@@ -180,5 +180,5 @@ def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(sweep_module, "_CONNECT_SECONDS", 0.3)
     for address in ("tcp://127.0.0.1:1", "nonsense://x"):
         with pytest.raises(PipelineError, match="does not answer") as raised:
-            sweep(square(), points(1), tmp_path, scheduler=address)
+            run_sweep(square(), points(1), tmp_path, scheduler=address)
         assert "\n" not in str(raised.value)

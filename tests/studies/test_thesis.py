@@ -12,17 +12,25 @@ from pipeline.series import read_series
 from pipeline.studies import thesis as reproduction
 from pipeline.studies.thesis import ALL_SCENES, reproduce
 from pipeline.studies.thesis.corrections import TESTS as CORRECTION_TESTS
-from pipeline.studies.thesis.damping import mode_damping
-from pipeline.studies.thesis.law import Growth, band, growth_between, linear_growth, step_growth
-from pipeline.studies.thesis.our_runs import Outcome, Scene
-from pipeline.studies.thesis.published import CORRECTIONS, FIGURES, NUMBERS, SCENES, STATEMENTS, TIMINGS, Number
-from pipeline.studies.thesis.report import kind_of, make_report
+from pipeline.studies.thesis.damping import measure_damping
+from pipeline.studies.thesis.growth_law import Growth, growth_between, make_band, read_linear_growth, read_step_growth
+from pipeline.studies.thesis.our_runs import RunOutcome, ThesisScene
+from pipeline.studies.thesis.published import (
+    CORRECTIONS,
+    FIGURES,
+    NUMBERS,
+    SCENES,
+    STATEMENTS,
+    TIMINGS,
+    PublishedNumber,
+)
+from pipeline.studies.thesis.report import find_kind, make_report
 from pipeline.studies.thesis.verbal_claims import TESTS as STATEMENT_TESTS
-from pipeline.studies.thesis.verdicts import find, judge
+from pipeline.studies.thesis.verdicts import judge, judge_number
 from pipeline.views.html.blocks import Heading, Paragraph, Picture, TableBlock, render_html, render_markdown
 from tests.bodies import METHODS, motion, solid, spin, thesis_bar
 
-NUMBER = Number("bar: largest volume", "2.0", 2.0, 0.02, "T 1.2", "bar", "linear", "largest_volume")
+NUMBER = PublishedNumber("bar: largest volume", "2.0", 2.0, 0.02, "T 1.2", "bar", "linear", "largest_volume")
 SECTIONS = (
     "Published numbers", "What the thesis says in words", "Times a step: tables 7.1 and 7.2", "Every scene and variant",
     "Figures", "The law of spurious volume", "Damping", "Corrections to the seeds", "Made by",
@@ -42,7 +50,7 @@ def short(cases_folder, tmp_path_factory):
 
 
 def an_outcome(tmp_path, **values):
-    whole = Outcome(
+    whole = RunOutcome(
         status="finished", folder=tmp_path, nodes=81, cells=192, steps=100, dt=0.07, largest_ratio=2.0, cell=1,
         iteration=2, smallest_ratio=0.6, largest_volume=2.0, its_rest_volume=1.0, largest_rest_volume=1.0,
         kinetic_kept=0.0, seconds_per_step=1e-3,
@@ -67,18 +75,18 @@ def test_a_verdict_prefers_what_is_printed_and_gives_its_reason(as_printed, cali
     assert judge(NUMBER, as_printed, calibrated, 3.5) == verdict
     remarked = judge(replace(NUMBER, remark="by design"), as_printed, calibrated, 3.5)
     assert remarked == f"{verdict} (by design)"
-    assert kind_of(remarked) == kind_of(verdict) == re.sub(r" 3\.5|:.*", "", verdict)
+    assert find_kind(remarked) == find_kind(verdict) == re.sub(r" 3\.5|:.*", "", verdict)
 
 
 def test_times_of_another_machine_are_a_kind_of_their_own(short):
     verdicts = dict(short.report.verdicts)
     assert verdicts["bar, linear: seconds a step"].startswith("other hardware and software: ours is ")
     assert verdicts["mushroom, linear: seconds a step"] == "not reproduced: not run"
-    assert kind_of(verdicts["bar, linear: seconds a step"]) == "other hardware"
+    assert find_kind(verdicts["bar, linear: seconds a step"]) == "other hardware"
     assert verdicts["the corotational method is not"] == "other hardware: not on ours, with compiled sparse solvers"
     kinds = {kind: short.report.count(kind) for kind in reproduction.KINDS}
     assert kinds["other hardware"] == 3 and "3 other hardware" in short.summary
-    assert not any("seconds" in what and kind_of(text) == "not reproduced" and "not run" not in text
+    assert not any("seconds" in what and find_kind(text) == "not reproduced" and "not run" not in text
                    for what, text in short.report.verdicts)  # fmt: skip
 
 
@@ -90,21 +98,23 @@ def test_an_iteration_is_not_judged_in_per_cent():
 
 def test_a_number_is_found_in_both_twins_and_subtracted_where_it_is_a_difference(tmp_path):
     scenes = {
-        name: Scene(name, tmp_path, 3.0, "initial velocity", {"linear": an_outcome(tmp_path, largest_volume=volume)})
+        name: ThesisScene(
+            name, tmp_path, 3.0, "initial velocity", {"linear": an_outcome(tmp_path, largest_volume=volume)}
+        )
         for name, volume in {"bar": 3.0, "bar_small": 1.0, "bar_as_printed": 1.5}.items()
     }
-    found = find(replace(NUMBER, less="bar_small"), scenes)
+    found = judge_number(replace(NUMBER, less="bar_small"), scenes)
     assert (found.as_printed, found.calibrated) == (None, 2.0)
     assert found.verdict == "reproduced with factor 3"
     failed = {"bar": replace(scenes["bar"], outcomes={"linear": an_outcome(tmp_path, status="failed")})}
-    assert find(NUMBER, failed).verdict == "not reproduced: not run"
+    assert judge_number(NUMBER, failed).verdict == "not reproduced: not run"
 
 
 def test_what_is_published_refers_to_what_there_is():
     assert {n.scene for n in NUMBERS} | {t.scene for t in TIMINGS} | {f.scene for f in FIGURES} == set(SCENES)
     assert {row.test for row in CORRECTIONS} - {""} == set(CORRECTION_TESTS)
     assert {s.test for s in STATEMENTS} == set(STATEMENT_TESTS)
-    fields = Outcome.__dataclass_fields__
+    fields = RunOutcome.__dataclass_fields__
     assert all(n.quantity in fields for n in NUMBERS)
     shown = {number for f in FIGURES for number in re.findall(r"\d\.\d+", f.figures)}
     assert shown == {"5.4", "5.7", "5.10"} | {f"7.{i}" for i in range(1, 16)}
@@ -128,16 +138,16 @@ def test_a_homogeneous_rotation_obeys_the_law_exactly(axis, dt):
 def test_a_band_takes_what_turned_far_enough():
     turned = np.radians([5.0, 20.0, 40.0, 60.0])
     growth = Growth(turned, np.array([9.0, 1.0, 1.0, 1.0]) / np.cos(turned) ** 2)
-    found = band(growth, 10.0)
+    found = make_band(growth, 10.0)
     assert found is not None
     assert (found.count, found.median) == (3, pytest.approx(1.0))
     assert found.low == pytest.approx(1.0) and found.high == pytest.approx(1.0)
     assert found.largest_angle == pytest.approx(60.0) and found.largest_law == pytest.approx(4.0)
-    assert band(growth, 70.0) is None
+    assert make_band(growth, 70.0) is None
 
 
 def test_the_measured_damping_of_backward_euler_is_its_formula(bar):
-    modes = mode_damping(bar, 6)
+    modes = measure_damping(bar, 6)
     assert [m.measured for m in modes] == pytest.approx([m.formula for m in modes], rel=1e-9)
     assert modes[0].omega == pytest.approx(10.424, abs=5e-4)  # measured with another program
     assert modes[0].formula == pytest.approx(0.32, abs=0.005)
@@ -267,8 +277,8 @@ def test_the_bar_in_full(cases_folder, tmp_path):
         assert verdicts[what].startswith(begins), (what, verdicts[what])
     assert {what for what in verdicts if what.startswith("bar") and "seconds" not in what} == set(BAR_VERDICTS)
     for (scene, variant), edges in BANDS.items():
-        measured = {"linear": linear_growth, "polar": step_growth}[variant]
-        found = band(measured(read_series(tmp_path / scene / variant)), 10.0)
+        measured = {"linear": read_linear_growth, "polar": read_step_growth}[variant]
+        found = make_band(measured(read_series(tmp_path / scene / variant)), 10.0)
         assert found is not None
         assert found.median == pytest.approx(1.0, abs=0.01)
         assert (found.low, found.high) == pytest.approx(edges, abs=6e-4)

@@ -7,7 +7,7 @@ from pipeline import build, frames, load_case
 from pipeline.fem.element import deformation_gradient, nodal_forces, stiffness_blocks
 from pipeline.fem.laws import Corotational, Linear
 from pipeline.fem.material import Material
-from pipeline.studies.thesis.corrections import TESTS, corrections_run, dense
+from pipeline.studies.thesis.corrections import TESTS, make_dense, run_corrections
 from pipeline.studies.thesis.formulas_as_printed import force_6_12, step_4_48, stiffness_4_30, stiffness_4_32
 from pipeline.studies.thesis.published import CORRECTIONS
 from tests.bodies import BOXES, MATERIAL
@@ -75,7 +75,7 @@ def test_6_16_as_printed_moves_a_resting_body(numbers):
 
 
 def test_the_corrected_step_is_the_program_s_own(bar):
-    system = dense(bar)
+    system = make_dense(bar)
     K = system.restricted(our_stiffness(bar.body.mesh))
     u, v = np.zeros_like(system.v), system.v
     for frame in list(frames(bar))[1:6]:
@@ -102,7 +102,7 @@ def test_the_corrected_warped_force_is_the_corotational_law_s():
 
 
 def test_every_row_that_runs_says_so_in_numbers(bar):
-    rows = corrections_run(bar)
+    rows = run_corrections(bar)
     assert {row.test for row, _, _ in rows if row.test} == set(TESTS)
     for row, printed, corrected in rows:
         assert bool(row.test) == bool(printed) == bool(corrected)

@@ -15,14 +15,36 @@ from pipeline.errors import CaseError, SolveError
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.problem.problem import build, build_mesh
 from pipeline.studies import sweep as sweep_module
-from pipeline.studies.tradeoff.apply_choice import apply
-from pipeline.studies.tradeoff.deviation import FirstMode, deviation, distances, error, first_mode
-from pipeline.studies.tradeoff.mode_steps import steps_a_period
-from pipeline.studies.tradeoff.motion import Motion, packed, race, read_motion, run_motion, task_settings, unpacked
-from pipeline.studies.tradeoff.settings import AUTO, CONVERGED, LINEAR, Setting, nested, planned, point_case
-from pipeline.studies.tradeoff.study import tradeoff
-from pipeline.studies.tradeoff.table import Row, Table
-from pipeline.studies.tradeoff.verdict import auto_verdicts, cheapest, front, sentence, shares
+from pipeline.studies.tradeoff.chosen_variant import write_chosen_variant
+from pipeline.studies.tradeoff.deviation import (
+    FirstMode,
+    combine_error,
+    find_first_mode,
+    measure_deviation,
+    measure_distances,
+)
+from pipeline.studies.tradeoff.mode_steps import find_steps_per_period
+from pipeline.studies.tradeoff.motion import (
+    RecordedMotion,
+    make_task_settings,
+    pack_array,
+    read_motion,
+    run_motion,
+    run_race,
+    unpack_array,
+)
+from pipeline.studies.tradeoff.settings import (
+    AUTO,
+    CONVERGED,
+    LINEAR,
+    Setting,
+    find_coarse_nodes,
+    make_plan,
+    make_point_case,
+)
+from pipeline.studies.tradeoff.study import study_tradeoff
+from pipeline.studies.tradeoff.table import ErrorTable, SettingRow
+from pipeline.studies.tradeoff.verdict import describe_choice, find_cheapest, find_front, judge_auto, split_error
 from tests.bodies import PLANAR, assert_conventional, case_document, clamped_bar, write_case
 
 
@@ -31,14 +53,14 @@ def here():
     """No dask.distributed: every point runs in this process; tests/studies/test_sweep.py has the cluster."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweep_module, "find_spec", lambda name: None)
-        patch.setattr("pipeline.studies.tradeoff.motion._MEASURED", 0.0)  # nothing here is told by its seconds
+        patch.setattr("pipeline.studies.tradeoff.motion._LEAST_SECONDS", 0.0)  # nothing here is told by its seconds
         patch.setattr("pipeline.studies.tradeoff.motion._PAIRS", 1)
         yield
 
 
 def plan_of(folder, *, sections=None, **keywords):
     case = load_case(write_case(folder, **(sections or {})))
-    return planned(case, **{"tolerance": 0.01, "quick": True, **keywords})
+    return make_plan(case, **{"tolerance": 0.01, "quick": True, **keywords})
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +68,7 @@ def study(tmp_path_factory):
     """The quick study of a soft beam of 18 tetrahedra, with one finer mesh."""
     folder = tmp_path_factory.mktemp("study")
     plan = plan_of(folder, refinements=[1, 2], tolerance=0.02)
-    return plan, tradeoff(plan, folder / "out", repeats=1)
+    return plan, study_tradeoff(plan, folder / "out", repeats=1)
 
 
 # settings
@@ -73,7 +95,7 @@ def test_settings_are_slices_that_allow_auto_beside_every_fixed_one(tmp_path):
 def test_every_setting_is_a_case_seen_at_the_same_instants(tmp_path):
     plan = plan_of(tmp_path, refinements=[1, 2])
     for setting in plan.settings:
-        case = point_case(plan, setting)
+        case = make_point_case(plan, setting)
         schedule = case.schedule
         assert schedule.dt * schedule.steps_per_frame == pytest.approx(plan.interval, rel=1e-12)
         assert schedule.frames == plan.frames and case.method.mass == setting.mass
@@ -111,7 +133,7 @@ def test_steps_and_refinements_that_do_not_fit_are_refused(tmp_path, keywords, m
 
 def test_meshes_that_cannot_be_refined_say_so(tmp_path, cases_folder):
     by_node = plan_of(tmp_path, sections={"supports": [{"nodes": [0, 1, 2, 3]}]}, refinements=[1, 2])
-    organic = planned(load_case(cases_folder / "mushroom.toml"), tolerance=0.01, refinements=[2])
+    organic = make_plan(load_case(cases_folder / "mushroom.toml"), tolerance=0.01, refinements=[2])
     for plan, reason in ((by_node, "names nodes"), (organic, "mesh is a file")):
         assert plan.refinements == (1,) and reason in plan.notes[0] and "mesh error not available" in plan.notes[0]
 
@@ -119,7 +141,7 @@ def test_meshes_that_cannot_be_refined_say_so(tmp_path, cases_folder):
 @pytest.mark.parametrize(("shape", "size", "cells"), [(box, (1, 3, 2), (1, 3, 2)), (rectangle, (2, 1), (3, 2))])
 def test_nested_nodes_lie_where_the_coarse_ones_do(shape, size, cells):
     coarse, fine = shape(size, cells), shape(size, [3 * c for c in cells])
-    np.testing.assert_allclose(fine.points[nested(cells, 3)], coarse.points, atol=1e-14)
+    np.testing.assert_allclose(fine.points[find_coarse_nodes(cells, 3)], coarse.points, atol=1e-14)
 
 
 # deviations
@@ -127,7 +149,7 @@ def test_nested_nodes_lie_where_the_coarse_ones_do(shape, size, cells):
 
 def motion_of(mesh, u, v=None, energy=1.0):
     level = np.full(len(u), energy)
-    return Motion(mesh, u, np.zeros_like(u) if v is None else v, level, level)
+    return RecordedMotion(mesh, u, np.zeros_like(u) if v is None else v, level, level)
 
 
 def test_deviations_of_known_motions():
@@ -135,22 +157,24 @@ def test_deviations_of_known_motions():
     still = motion_of(mesh, np.zeros((2, *mesh.points.shape)))
     moved = still.u.copy()
     moved[1] += [0.0, 0.3, 0.0]
-    found = deviation(motion_of(mesh, moved, energy=1.5), still, None)
+    found = measure_deviation(motion_of(mesh, moved, energy=1.5), still, None)
     assert found["worst_distance"] == pytest.approx(0.1) and found["rms_distance"] == pytest.approx(0.1 / 2**0.5)
     assert found["volume"] < 1e-12 and found["drift"] < 1e-12 and found["energy"] == pytest.approx(0.5)
     grown = motion_of(mesh, np.stack([0 * mesh.points, 0.1 * mesh.points]))
-    found = deviation(grown, still, None)
+    found = measure_deviation(grown, still, None)
     assert found["volume"] == pytest.approx(1.1**3 - 1) and found["drift"] == pytest.approx(1.1**3 - 1)
-    assert error(found) == pytest.approx(0.5 * (1.1**3 - 1)) and np.isnan(found["mode_phase"])
+    assert combine_error(found) == pytest.approx(0.5 * (1.1**3 - 1)) and np.isnan(found["mode_phase"])
     some = np.array([0, 5])
-    assert distances(motion_of(mesh, moved), still, np.arange(len(mesh.points)))["worst_distance"] == pytest.approx(0.1)
+    assert measure_distances(motion_of(mesh, moved), still, np.arange(len(mesh.points)))[
+        "worst_distance"
+    ] == pytest.approx(0.1)
     with pytest.raises(ValueError):
-        distances(motion_of(mesh, moved), still, some)
+        measure_distances(motion_of(mesh, moved), still, some)
 
 
 def test_amplitude_and_phase_of_the_first_mode():
     body = clamped_bar()
-    mode = first_mode(body)
+    mode = find_first_mode(body)
     assert isinstance(mode, FirstMode) and mode.omega == pytest.approx(10.424, rel=1e-3)
     shape = np.zeros_like(body.mesh.points)
     t = np.linspace(0, 2, 40)
@@ -163,21 +187,21 @@ def test_amplitude_and_phase_of_the_first_mode():
         u, v = size * np.cos(angle), -size * mode.omega * np.sin(angle)
         return motion_of(body.mesh, u[:, None, None] * shape, v[:, None, None] * shape)
 
-    found = deviation(swinging(0.9, np.radians(5)), swinging(1.0, 0.0), mode)
+    found = measure_deviation(swinging(0.9, np.radians(5)), swinging(1.0, 0.0), mode)
     assert found["mode_amplitude"] == pytest.approx(0.1) and found["mode_phase"] == pytest.approx(5.0)
 
 
 def test_motions_survive_their_text():
     values = np.random.default_rng(0).standard_normal((3, 4, 2)) * 1e-3
-    np.testing.assert_allclose(unpacked(packed(values), (3, 4, 2)), values, rtol=1e-7)
+    np.testing.assert_allclose(unpack_array(pack_array(values), (3, 4, 2)), values, rtol=1e-7)
 
 
 def test_a_run_in_memory_is_the_run(tmp_path):
     from pipeline.run.frames import frames
 
     plan = plan_of(tmp_path)
-    case = point_case(plan, plan.own)
-    result = run_motion(json.loads(json.dumps(task_settings(case, 2))))
+    case = make_point_case(plan, plan.own)
+    result = run_motion(json.loads(json.dumps(make_task_settings(case, 2))))
     problem = build(case)
     seen = list(frames(problem))
     motion = read_motion(result, problem.body.mesh)
@@ -191,13 +215,13 @@ def test_a_run_in_memory_is_the_run(tmp_path):
 def test_what_leaves_the_scene_is_an_error(tmp_path):
     plan = plan_of(tmp_path, sections={"supports": None, "initial": {"velocity": [0.0, 0.0, 1e6]}})
     with pytest.raises(SolveError, match="times its size"):
-        run_motion(task_settings(point_case(plan, plan.own), 1))
+        run_motion(make_task_settings(make_point_case(plan, plan.own), 1))
 
 
 def test_a_race_of_a_case_with_itself(tmp_path):
     plan = plan_of(tmp_path)
-    settings = task_settings(point_case(plan, plan.own), 1)
-    found = race(settings | {"rival": settings["case"]})
+    settings = make_task_settings(make_point_case(plan, plan.own), 1)
+    found = run_race(settings | {"rival": settings["case"]})
     assert found["ratio"] > 0 and found["pairs"] == 1
 
 
@@ -213,20 +237,24 @@ def row(seconds, worst, volume=0.0, *, model=LINEAR, dt=0.1, model_volume=0.0):
     }
     found = {"motion_worst_distance": worst, "motion_volume": volume, "model_worst_distance": 0.0}
     setting = Setting(1, "consistent", "bdf2", dt, *model)
-    return Row(setting, costs, found | {"model_volume": model_volume})
+    return SettingRow(setting, costs, found | {"model_volume": model_volume})
 
 
 def test_the_front_is_what_no_other_beats():
     rows = [row(1, 0.5), row(2, 0.1), row(2.5, 0.2), row(3, 0.1), row(4, 0.0, volume=0.04)]
-    assert front([*rows, Row(rows[0].setting, failure="SolveError")]) == [rows[0], rows[1], rows[4]]
-    assert cheapest(rows, 0.1) is rows[1] and cheapest(rows, 0.02) is rows[4] and cheapest(rows, 0.01) is None
+    assert find_front([*rows, SettingRow(rows[0].setting, failure="SolveError")]) == [rows[0], rows[1], rows[4]]
+    assert (
+        find_cheapest(rows, 0.1) is rows[1]
+        and find_cheapest(rows, 0.02) is rows[4]
+        and find_cheapest(rows, 0.01) is None
+    )
 
 
 def test_of_what_costs_the_same_but_for_the_clock_the_most_accurate_is_named():
     rows = [row(1.0, 0.5), row(1.05, 0.1), row(1.08, 0.3), row(1.2, 0.0)]
-    assert cheapest(rows, 0.5) is rows[1] and cheapest(rows[2:], 0.5) is rows[2]
+    assert find_cheapest(rows, 0.5) is rows[1] and find_cheapest(rows[2:], 0.5) is rows[2]
     by_axes = row(1.0, 0.05, model=("corotational", "gram_schmidt", "1"))
-    assert cheapest([by_axes, *rows], 0.5) is rows[1] and cheapest([by_axes], 0.5) is by_axes
+    assert find_cheapest([by_axes, *rows], 0.5) is rows[1] and find_cheapest([by_axes], 0.5) is by_axes
 
 
 def test_auto_is_set_against_the_cheapest_that_meets_its_tolerance():
@@ -237,14 +265,14 @@ def test_auto_is_set_against_the_cheapest_that_meets_its_tolerance():
         row(2.2, 0.0, model=AUTO, model_volume=0.015),
         row(1.5, 0.0, model=CONVERGED, dt=0.2),
     ]
-    (found,) = auto_verdicts(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
+    (found,) = judge_auto(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
     assert found.rival == rows[1].setting and found.ratio == pytest.approx(1.1) and found.kept
     rows[1] = row(2, 0.0, model=("corotational", "polar", "1"), model_volume=0.012)  # twice the tolerance is not it
     rows[3] = row(2.2, 0.0, model=AUTO, model_volume=0.009)
-    (found,) = auto_verdicts(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
+    (found,) = judge_auto(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
     assert found.rival == rows[2].setting
     rows[3] = row(2.2, 0.0, model=AUTO, model_volume=0.021)
-    assert not auto_verdicts(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))[0].kept
+    assert not judge_auto(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))[0].kept
 
 
 def test_the_sentence_tells_no_more_than_the_reference_is_good_for():
@@ -256,7 +284,7 @@ def test_the_sentence_tells_no_more_than_the_reference_is_good_for():
     def said(sure, rows=rows, mesh=float("nan")):
         reference = SimpleNamespace(time=sure)
         table = SimpleNamespace(plan=plan, rows=rows, mesh_error=lambda r: mesh, reference_error=lambda: reference)
-        return sentence(table)
+        return describe_choice(table)
 
     assert said(1e-4).startswith("scene: for 1 % use bdf2, the linear law, consistent mass, dt = 0.1 s: 100 ms a step")
     assert "0.1 % costs 3 times as much" in said(1e-4) and "reference" not in said(1e-4)
@@ -269,8 +297,8 @@ def test_the_sentence_tells_no_more_than_the_reference_is_good_for():
 @pytest.mark.parametrize("stepper", ["backward_euler", "bdf2"])
 def test_steps_a_period_are_those_of_the_formula(tmp_path, stepper):
     plan = plan_of(tmp_path)
-    case = point_case(plan, Setting(1, "consistent", stepper, 0.02, *LINEAR))
-    found = steps_a_period(task_settings(case, 1) | {"tolerance": 0.02})
+    case = make_point_case(plan, Setting(1, "consistent", stepper, 0.02, *LINEAR))
+    found = find_steps_per_period(make_task_settings(case, 1) | {"tolerance": 0.02})
     n = np.arange(1, 3000)
     z = 2 * np.pi / n
     # for bdf2 the larger root of 3/2 - 2/G + 1/(2 G^2) = i z
@@ -336,7 +364,7 @@ def test_the_sentence_names_a_setting_that_is_enough(study):
 def test_a_study_that_stands_is_not_run_again(study, monkeypatch):
     plan, found = study
     monkeypatch.setattr("pipeline.studies.tradeoff.study.run_motion", lambda settings: pytest.fail("run again"))
-    again = tradeoff(plan, found.folder, repeats=1)
+    again = study_tradeoff(plan, found.folder, repeats=1)
     assert again.summary == found.summary
 
 
@@ -345,12 +373,12 @@ def test_a_reference_that_fails_is_an_error_and_other_failures_are_told(study):
     plan, found = study
     results = {s.key: json.loads((found.folder / f"points/{s.key}.json").read_text())["result"] for s in plan.settings}
     broken = plan.settings[7].key
-    table = Table(plan, results | {broken: {"error": "SolveError: blew up"}})
+    table = ErrorTable(plan, results | {broken: {"error": "SolveError: blew up"}})
     assert [one.failure for one in table.rows if one.setting.key == broken] == ["SolveError: blew up"]
-    assert "use" in sentence(table) or "no setting" in sentence(table)
-    assert shares(table, table.row(plan.own)).dominant in ("model", "dt", "mesh")
+    assert "use" in describe_choice(table) or "no setting" in describe_choice(table)
+    assert split_error(table, table.row(plan.own)).dominant in ("model", "dt", "mesh")
     with pytest.raises(SolveError, match="no reference on mesh x2: SolveError: blew up"):
-        Table(plan, results | {plan.reference(2).key: {"error": "SolveError: blew up"}})
+        ErrorTable(plan, results | {plan.reference(2).key: {"error": "SolveError: blew up"}})
 
 
 # the choice as a variant
@@ -360,11 +388,11 @@ CHOSEN = Setting(1, "lumped", "bdf2", 0.01, *AUTO)
 
 def test_the_choice_becomes_a_variant_and_the_rest_of_the_file_stays(tmp_path):
     path = write_case(tmp_path)
-    plan = planned(load_case(path), tolerance=0.01, quick=True, steps=2)
+    plan = make_plan(load_case(path), tolerance=0.01, quick=True, steps=2)
     assert plan.frames == 2
     path.write_text(path.read_text() + "\n# a last remark\n")
     before = path.read_text()
-    apply(plan, CHOSEN, "for 1 % it is enough")
+    write_chosen_variant(plan, CHOSEN, "for 1 % it is enough")
     text = path.read_text()
     assert text.startswith(before) and "# for 1 % it is enough" in text
     case = load_case(path)
@@ -372,7 +400,7 @@ def test_the_choice_becomes_a_variant_and_the_rest_of_the_file_stays(tmp_path):
     chosen = case.variant("adequate")
     assert (chosen.method.model, chosen.method.stepper, chosen.method.mass) == ("auto", "bdf2", "lumped")
     assert (chosen.schedule.dt, chosen.schedule.steps_per_frame, chosen.schedule.frames) == (0.01, 2, 4)
-    apply(plan, replace(CHOSEN, dt=0.04, refinement=2), "another reason")
+    write_chosen_variant(plan, replace(CHOSEN, dt=0.04, refinement=2), "another reason")
     text = path.read_text()
     assert text.startswith(before) and text.count("adequate]") == 1 and "another reason" in text
     chosen = load_case(path).variant("adequate")
@@ -382,9 +410,9 @@ def test_the_choice_becomes_a_variant_and_the_rest_of_the_file_stays(tmp_path):
 
 def test_a_case_without_variants_keeps_its_default(tmp_path):
     plan = plan_of(tmp_path, sections={"variants": None})
-    apply(plan, CHOSEN, "why")
+    write_chosen_variant(plan, CHOSEN, "why")
     assert load_case(plan.case.path).variant_names == ("default", "adequate")
-    apply(plan, CHOSEN, "why not")
+    write_chosen_variant(plan, CHOSEN, "why not")
     assert load_case(plan.case.path).variant_names == ("default", "adequate")
 
 
@@ -392,10 +420,10 @@ def test_a_file_that_cannot_take_the_variant_is_left_alone(tmp_path):
     own = plan_of(tmp_path, sections={"variants": {"adequate": {}}})
     inline = load_case(write_case(tmp_path, "inline.toml", variants=None))
     inline.path.write_text(f"variants = {{polar = {{}}}}\n{inline.path.read_text()}")
-    for plan, message in ((own, "there already"), (planned(inline, tolerance=0.1), "cannot be appended")):
+    for plan, message in ((own, "there already"), (make_plan(inline, tolerance=0.1), "cannot be appended")):
         before = plan.case.path.read_text()
         with pytest.raises(CaseError, match=message) as raised:
-            apply(plan, CHOSEN, "why")
+            write_chosen_variant(plan, CHOSEN, "why")
         assert plan.case.path.read_text() == before and "\n" not in str(raised.value)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["beam.toml", "inline.toml"]
 
@@ -451,7 +479,7 @@ def test_a_case_without_a_reference_does_not_stop_the_others(tmp_path, capsys, m
             raise SolveError("no reference")
         return module.Tradeoff(folder, {}, "good: use this", (), ())
 
-    monkeypatch.setattr(module, "tradeoff", one)
+    monkeypatch.setattr(module, "study_tradeoff", one)
     paths = [tmp_path / "bad.toml", tmp_path / "good.toml"]
     for path in paths:
         path.write_text(tomli_w.dumps(case_document(name=path.stem)))
@@ -464,7 +492,7 @@ def test_an_interrupted_study_says_what_stands(tmp_path, capsys, monkeypatch):
     def interrupted(*given, **keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pipeline.studies.tradeoff.study.tradeoff", interrupted)
+    monkeypatch.setattr("pipeline.studies.tradeoff.study.study_tradeoff", interrupted)
     assert main(["study", "tradeoff", str(write_case(tmp_path)), "--quiet", "--out", str(tmp_path / "o")]) == 130
     assert capsys.readouterr().err == "interrupted; the points done so far stand, the same command goes on\n"
 

@@ -8,7 +8,7 @@ _FIRST_PRICED = 3  # the rounds before mend the worst cells only
 _FITS = (60.0, 150.0, 300.0, 300.0)  # the surface is drawn to the shape in steps
 
 
-def improved(shape: Shape, points: Floats, cells: Ints) -> tuple[Floats, Ints]:
+def improve(shape: Shape, points: Floats, cells: Ints) -> tuple[Floats, Ints]:
     """Return points and cells of good quality, shape.cells of them where that can be met."""
     mesh = Complex(shape, points, cells)
     price = 0.0
@@ -39,7 +39,7 @@ def _reconnect(mesh: Complex, *, passes: int, price: float = 0.0, same_count: bo
             if any(number not in mesh.tets for number in move.old):
                 continue
             nodes = {node for number in move.old for node in mesh.tets[number]} | {n for tet in move.new for n in tet}
-            if len(nodes & touched) > 2 or _strands(mesh, move):
+            if len(nodes & touched) > 2 or _leaves_unused_node(mesh, move):
                 continue
             if mesh.apply(move):
                 made += 1
@@ -48,7 +48,7 @@ def _reconnect(mesh: Complex, *, passes: int, price: float = 0.0, same_count: bo
             break
 
 
-def _strands(mesh: Complex, move: Move) -> bool:
+def _leaves_unused_node(mesh: Complex, move: Move) -> bool:
     """Return whether a peeled cell is the last of one of its nodes."""
     if move.new:
         return False
@@ -60,7 +60,7 @@ def _meet_count(mesh: Complex) -> None:
     for turn in range(200):
         excess = len(mesh.tets) - mesh.shape.cells
         moves = [m for m in mesh.moves() if m.gain * excess < 0 and abs(m.gain) <= abs(excess)]
-        moves = [m for m in moves if not _strands(mesh, m)]
+        moves = [m for m in moves if not _leaves_unused_node(mesh, m)]
         if not excess or not moves:
             break
         mesh.apply(min(moves, key=lambda m: m.cost / abs(m.gain)))

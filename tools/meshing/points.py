@@ -18,18 +18,18 @@ _SURFACE_SAMPLES, _VOLUME_SAMPLES = 40_000, 60_000
 def make_points(shape: Shape) -> Floats:
     """Return the nodes (n, 3): features, then the rest of the surface, then the interior."""
     rng, sampler = np.random.default_rng(shape.seed), np.random.default_rng(0)
-    on, within = _surface_samples(shape, sampler), _volume_samples(shape, sampler)
+    on, within = _sample_surface(shape, sampler), _sample_volume(shape, sampler)
     # a density of h^-(dimension + 2) has cells of size h
     on_weight, within_weight = shape.spacing(on) ** -4, shape.spacing(within) ** -5
     features = shape.features
     count = shape.surface_nodes - len(features)
-    surface = _lloyd(on, on_weight, count, rng, held=features, iterations=60, shape=shape)
+    surface = _run_lloyd(on, on_weight, count, rng, held=features, iterations=60, shape=shape)
     surface = np.vstack([features, project(shape.distance, surface, 6)])
-    interior = _lloyd(within, within_weight, shape.nodes - shape.surface_nodes, rng, held=surface, iterations=40)
+    interior = _run_lloyd(within, within_weight, shape.nodes - shape.surface_nodes, rng, held=surface, iterations=40)
     return np.vstack([surface, interior])
 
 
-def _surface_samples(shape: Shape, rng: np.random.Generator) -> Floats:
+def _sample_surface(shape: Shape, rng: np.random.Generator) -> Floats:
     """Return points of a thin shell, projected onto the surface."""
     found: list[Floats] = []
     while sum(map(len, found)) < _SURFACE_SAMPLES:
@@ -39,7 +39,7 @@ def _surface_samples(shape: Shape, rng: np.random.Generator) -> Floats:
     return p[np.abs(shape.distance(p)) < 1e-2]
 
 
-def _volume_samples(shape: Shape, rng: np.random.Generator) -> Floats:
+def _sample_volume(shape: Shape, rng: np.random.Generator) -> Floats:
     found: list[Floats] = []
     while sum(map(len, found)) < _VOLUME_SAMPLES:
         p = shape.low + (shape.high - shape.low) * rng.random((_VOLUME_SAMPLES * 4, 3))
@@ -47,7 +47,7 @@ def _volume_samples(shape: Shape, rng: np.random.Generator) -> Floats:
     return np.concatenate(found)[:_VOLUME_SAMPLES]
 
 
-def _lloyd(
+def _run_lloyd(
     samples: Floats,
     weight: Floats,
     count: int,
@@ -85,13 +85,13 @@ def carve(shape: Shape, points: Floats) -> Ints:
     middles = (corners[:, [0, 0, 0, 1, 1, 2]] + corners[:, [1, 2, 3, 2, 3, 3]]) / 2
     at_edges = shape.distance(middles.reshape(-1, 3)).reshape(-1, 6).max(1)
     score = np.maximum(at_centre / longest + 0.02, at_edges / longest - 0.22)
-    return _repaired(cells, score, len(points))
+    return _repair(cells, score, len(points))
 
 
-def _repaired(cells: Ints, score: Floats, nodes: int) -> Ints:
+def _repair(cells: Ints, score: Floats, nodes: int) -> Ints:
     """Return the cells of negative score, borderline ones toggled while that leaves fewer defects."""
     keep = score < 0
-    count, where = defects(cells[keep], nodes)
+    count, where = find_defects(cells[keep], nodes)
     for _ in range(60):
         if count == 0:
             break
@@ -99,7 +99,7 @@ def _repaired(cells: Ints, score: Floats, nodes: int) -> Ints:
         best = None
         for c in near[np.abs(score[near]) < 0.4]:
             keep[c] ^= True
-            fewer, places = defects(cells[keep], nodes)
+            fewer, places = find_defects(cells[keep], nodes)
             keep[c] ^= True
             rank = fewer + abs(score[c])
             if fewer < count and (best is None or rank < best[0]):
@@ -111,21 +111,21 @@ def _repaired(cells: Ints, score: Floats, nodes: int) -> Ints:
     return cells[keep]
 
 
-def defects(cells: Ints, nodes: int) -> tuple[int, set[int]]:
+def find_defects(cells: Ints, nodes: int) -> tuple[int, set[int]]:
     """Return the number of places where the surface is no closed manifold or a node unused, and the nodes there."""
     faces = np.sort(cells[:, OUTWARD].reshape(-1, 3), 1)
     _, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
     surface = faces[first[count == 1]]
     edges, shared = np.unique(surface[:, [[0, 1], [1, 2], [0, 2]]].reshape(-1, 2), axis=0, return_counts=True)
     open_edges = edges[shared != 2]
-    fans = _fans(surface, nodes)
+    fans = _count_fans(surface, nodes)
     pinched = np.flatnonzero(fans > 1)
     unused = np.flatnonzero(np.bincount(cells.ravel(), minlength=nodes) == 0)
     total = len(open_edges) + int((fans[pinched] - 1).sum()) + 2 * len(unused)
     return total, {int(node) for node in (*open_edges.ravel(), *pinched, *unused)}
 
 
-def _fans(surface: Ints, nodes: int) -> Ints:
+def _count_fans(surface: Ints, nodes: int) -> Ints:
     """Return for every node (n,) how many fans of triangles meet there: 1 on a manifold, 0 off the surface."""
     half_edges, corners = [], []
     for a, b in ((0, 1), (1, 2), (0, 2)):

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from tools.meshing.shapes import Floats, Ints, Shape
-from tools.meshing.smooth import smoothed
+from tools.meshing.smooth import smooth_points
 
 Tet = tuple[int, ...]
 Key = tuple[int, ...]
@@ -25,7 +25,7 @@ _LONGEST_RING = 7  # 42 triangulations; longer ones are rare and slow
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _quality(X: Floats, a: int, b: int, c: int, d: int) -> float:  # pragma: no cover - compiled
+def _compute_quality(X: Floats, a: int, b: int, c: int, d: int) -> float:  # pragma: no cover - compiled
     """Return 6 sqrt(2) V / rms(edge)^3 of one cell, as smooth.cell_quality."""
     s = 0.0
     u = np.empty((4, 3))
@@ -47,12 +47,12 @@ def _quality(X: Floats, a: int, b: int, c: int, d: int) -> float:  # pragma: no 
     return 8.48528137423857 * v / ((s / 6) ** 1.5)
 
 
-def _badness(quality: float) -> float:
+def _compute_badness(quality: float) -> float:
     """Return q^-2, continued by a steep line below 1e-3 so that an inverted cell has a price too."""
     return 1e6 - 1e6 * quality if quality <= 1e-3 else quality**-2
 
 
-def _triangulations(n: int) -> list[tuple[tuple[int, int, int], ...]]:
+def _list_triangulations(n: int) -> list[tuple[tuple[int, int, int], ...]]:
     """Return all triangulations of a polygon of n corners."""
     memo: dict[tuple[int, int], list[tuple[tuple[int, int, int], ...]]] = {}
 
@@ -68,7 +68,7 @@ def _triangulations(n: int) -> list[tuple[tuple[int, int, int], ...]]:
     return between(0, n - 1)
 
 
-_TRIANGULATIONS = {n: _triangulations(n) for n in range(3, _LONGEST_RING + 1)}
+_TRIANGULATIONS = {n: _list_triangulations(n) for n in range(3, _LONGEST_RING + 1)}
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Move:
         return len(self.new) - len(self.old)
 
 
-def _key(*nodes: int) -> Key:
+def _make_key(*nodes: int) -> Key:
     return tuple(sorted(nodes))
 
 
@@ -110,7 +110,7 @@ class Complex:
         return np.array([self.tets[i] for i in sorted(self.tets)], dtype=np.int64)
 
     def _of(self, nodes: Tet) -> float:
-        return float(_quality(self.points, *nodes))
+        return float(_compute_quality(self.points, *nodes))
 
     def _add(self, tet: Tet) -> None:
         number = self._next
@@ -132,18 +132,18 @@ class Complex:
 
     def smooth(self, iterations: int, fit: float = 60.0) -> None:
         """Move the nodes, as smooth.smoothed says."""
-        self.points = smoothed(self.shape, self.points, self.cells, iterations=iterations, fit=fit)
+        self.points = smooth_points(self.shape, self.points, self.cells, iterations=iterations, fit=fit)
         for number, tet in self.tets.items():
             self.quality[number] = self._of(tet)
 
     # What the moves ask
 
     def _on_surface(self, *face: int) -> bool:
-        return len(self.at_face.get(_key(*face), ())) == 1
+        return len(self.at_face.get(_make_key(*face), ())) == 1
 
     def _around(self, edge: Key) -> set[int]:
         """Return the nodes that share a cell with an edge, less its own."""
-        return {node for i in self.at_edge.get(_key(*edge), ()) for node in self.tets[i]} - set(edge)
+        return {node for i in self.at_edge.get(_make_key(*edge), ()) for node in self.tets[i]} - set(edge)
 
     def _surface_cost(self, old: Key, new: Key) -> float:
         """Return the price of an edge of the surface flipped: how far its middle moves off the shape."""
@@ -215,13 +215,13 @@ class Complex:
             return None
         ring, closed = around
         old = list(self.at_edge[edge])
-        before = sum(_badness(self.quality[i]) for i in old)
+        before = sum(_compute_badness(self.quality[i]) for i in old)
         if closed:
             return self._retriangulated(edge, ring, old, before, extra=0.0, closed=True)
         ends = (ring[0], ring[-1])
         if len(ring) == 2:
             return self._peeled(edge, ends, old, before)
-        if _key(*ends) in self.at_edge:
+        if _make_key(*ends) in self.at_edge:
             return None
         extra = self._surface_cost(edge, ends)
         return self._retriangulated(edge, ring, old, before, extra=extra, closed=False)
@@ -250,7 +250,7 @@ class Complex:
                 quality = self._of(tet)
                 if quality <= _LEAST:
                     break
-                cost += _badness(quality)
+                cost += _compute_badness(quality)
             else:
                 if (best is None or cost - before < best.cost) and not self._crossed(ring, triangles, closed):
                     best = Move(cost - before, old, new, "edge", edge)
@@ -264,7 +264,7 @@ class Complex:
                 is_side = (y - x) % n in (1, n - 1) and (closed or y - x == 1)
                 if is_side or (not closed and (x, y) == (0, n - 1)):
                     continue
-                if _key(ring[x], ring[y]) in self.at_edge:
+                if _make_key(ring[x], ring[y]) in self.at_edge:
                     return True
         return False
 
@@ -273,25 +273,25 @@ class Complex:
         if len(numbers) != 2:
             return None
         above, below = (next(node for node in self.tets[i] if node not in face) for i in numbers)
-        if _key(above, below) in self.at_edge:
+        if _make_key(above, below) in self.at_edge:
             return None
         a, b, c = face
         if self._of((a, b, c, above)) < 0:
             a, b = b, a
         new = [(a, b, below, above), (b, c, below, above), (c, a, below, above)]
-        cost = -sum(_badness(self.quality[i]) for i in numbers)
+        cost = -sum(_compute_badness(self.quality[i]) for i in numbers)
         for tet in new:
             quality = self._of(tet)
             if quality <= _LEAST:
                 return None
-            cost += _badness(quality)
+            cost += _compute_badness(quality)
         return Move(cost, numbers, new, "face", face)
 
     def _add_move(self, edge: Key) -> Move | None:
         """Return the move that fills the notch at a concave edge of the surface with a cell."""
         a, b = edge
         wings = [node for node in sorted(self._around(edge)) if self._on_surface(a, b, node)]
-        if len(wings) != 2 or _key(*wings) in self.at_edge:
+        if len(wings) != 2 or _make_key(*wings) in self.at_edge:
             return None
         c, d = wings
         tet = (a, b, c, d) if self._of((a, b, c, d)) >= 0 else (b, a, c, d)
@@ -302,7 +302,7 @@ class Complex:
         # the new cell must lie outside of the two cells on which it sits
         if self._of((tet[0], tet[1], c, inner[0])) > 0 or self._of((tet[0], tet[1], inner[1], d)) > 0:
             return None
-        return Move(_badness(quality) + self._surface_cost(edge, (c, d)), [], [tet], "add", edge)
+        return Move(_compute_badness(quality) + self._surface_cost(edge, (c, d)), [], [tet], "add", edge)
 
     def _behind(self, *face: int) -> Tet:
-        return self.tets[next(iter(self.at_face[_key(*face)]))]
+        return self.tets[next(iter(self.at_face[_make_key(*face)]))]

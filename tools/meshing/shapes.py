@@ -31,7 +31,7 @@ class Shape:
     features: Floats
 
 
-def gradient(field: Field, points: Floats, step: float = 1e-4) -> Floats:
+def compute_gradient(field: Field, points: Floats, step: float = 1e-4) -> Floats:
     """Return the gradient (n, 3) by central differences; 1e-4 of bodies of size 30 leaves 8 digits."""
     result = np.empty_like(points)
     for axis in range(3):
@@ -44,22 +44,22 @@ def gradient(field: Field, points: Floats, step: float = 1e-4) -> Floats:
 def project(field: Field, points: Floats, iterations: int = 6) -> Floats:
     """Return the points moved onto the zero of the field by Newton steps along its gradient."""
     for _ in range(iterations):
-        value, slope = field(points), gradient(field, points)
+        value, slope = field(points), compute_gradient(field, points)
         points = points - (value / np.maximum((slope * slope).sum(1), 0.05))[:, None] * slope
     return points
 
 
-def _union(a: Floats, b: Floats, blend: float) -> Floats:
+def _unite(a: Floats, b: Floats, blend: float) -> Floats:
     """Return the smooth minimum: both bodies, with a fillet of about `blend`."""
     h = np.clip(0.5 + 0.5 * (b - a) / blend, 0, 1)
     return b * (1 - h) + a * h - blend * h * (1 - h)
 
 
-def _intersection(a: Floats, b: Floats, blend: float) -> Floats:
-    return -_union(-a, -b, blend)
+def _intersect(a: Floats, b: Floats, blend: float) -> Floats:
+    return -_unite(-a, -b, blend)
 
 
-def _ellipsoid(p: Floats, center: Sequence[float], radii: Sequence[float]) -> Floats:
+def _measure_ellipsoid(p: Floats, center: Sequence[float], radii: Sequence[float]) -> Floats:
     r = np.asarray(radii, dtype=np.float64)
     q = p - np.asarray(center, dtype=np.float64)
     k0, k1 = np.linalg.norm(q / r, axis=1), np.linalg.norm(q / r**2, axis=1)
@@ -69,9 +69,9 @@ def _ellipsoid(p: Floats, center: Sequence[float], radii: Sequence[float]) -> Fl
 # The mushroom
 
 
-def mushroom() -> Shape:
+def make_mushroom() -> Shape:
     """Return a cap of radius 12 on a stem whose foot is wider; 219 nodes, 656 tetrahedra."""
-    features = np.vstack([_ring(11.9, 3.0, 20), _ring(4.2, -13.9, 7)])
+    features = np.vstack([_make_ring(11.9, 3.0, 20), _make_ring(4.2, -13.9, 7)])
     return Shape(
         name="mushroom",
         nodes=219,
@@ -80,26 +80,26 @@ def mushroom() -> Shape:
         seed=14,
         low=np.array([-15, -15, -17.0]),
         high=np.array([15, 15, 17.0]),
-        distance=_mushroom,
+        distance=_measure_mushroom,
         spacing=lambda p: np.full(len(p), 1.0),
-        features=project(_mushroom, features),
+        features=project(_measure_mushroom, features),
     )
 
 
-def _ring(radius: float, z: float, count: int) -> Floats:
+def _make_ring(radius: float, z: float, count: int) -> Floats:
     angle = 2 * np.pi * np.arange(count) / count
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(count, z)], 1)
 
 
-def _mushroom(p: Floats) -> Floats:
+def _measure_mushroom(p: Floats) -> Floats:
     r = np.sqrt(p[:, 0] ** 2 + p[:, 1] ** 2 + 1e-12)
     z = p[:, 2]
-    dome = _ellipsoid(p, (0, 0, 2.6), (12.3, 12.3, 10.8))
+    dome = _measure_ellipsoid(p, (0, 0, 2.6), (12.3, 12.3, 10.8))
     under = (2.8 + 0.10 * (12 - r)) - z  # the underside is a little hollow
-    cap = _intersection(dome, under * 0.99, 1.2)
+    cap = _intersect(dome, under * 0.99, 1.2)
     stem_radius = 3.6 + 1.0 * np.clip((-4 - z) / 9, 0, 1) ** 2
-    stem = _intersection(_intersection(r - stem_radius, -14.2 - z, 1.2), z - 6, 1.0)
-    return _union(cap, stem, 1.6)
+    stem = _intersect(_intersect(r - stem_radius, -14.2 - z, 1.2), z - 6, 1.0)
+    return _unite(cap, stem, 1.6)
 
 
 # The armadillo
@@ -127,7 +127,7 @@ class Part:
         return [*self.start, *(self.radii or self.end), self.start_radius, self.end_radius, self.blend]
 
 
-def _limbs(x: int) -> list[Part]:
+def _make_limbs(x: int) -> list[Part]:
     """Return ear, upper arm, forearm, thigh, shin and foot of the left (-1) or right (1) side."""
     return [
         Part((1.5 * x, -0.2, 11.6), (4.0 * x, 0.8, 17.2), 1.35, 0.85, 0.4),
@@ -146,13 +146,15 @@ _TRUNK = [
     Part((0, -2.0, 10.2), (0, -7.4, 8.6), 2.1, 1.0, 0.9),  # snout
 ]
 _TAIL = [Part((0, 3.0, -3.5), (0, 8.0, -7.2), 2.6, 1.7, 1.0), Part((0, 8.0, -7.2), (0, 14.5, -6.4), 1.7, 0.85, 0.4)]
-_PARTS = [*_TRUNK, *_limbs(-1), *_limbs(1), *_TAIL]
+_PARTS = [*_TRUNK, *_make_limbs(-1), *_make_limbs(1), *_TAIL]
 
 
-def armadillo() -> Shape:
+def make_armadillo() -> Shape:
     """Return an upright animal with ears, arms, feet and a tail that faces -y; 285 nodes, 787 tetrahedra."""
     snout, tail = _PARTS[3], _PARTS[-1]
-    ends = [part.tip() for side in (-1, 1) for limbs in (_limbs(side),) for part in (limbs[i] for i in (0, 2, 5, 4))]
+    ends = [
+        part.tip() for side in (-1, 1) for limbs in (_make_limbs(side),) for part in (limbs[i] for i in (0, 2, 5, 4))
+    ]
     return Shape(
         name="armadillo",
         nodes=285,
@@ -161,9 +163,9 @@ def armadillo() -> Shape:
         seed=10,
         low=np.array([-15, -12, -18.0]),
         high=np.array([15, 18, 20.0]),
-        distance=lambda p: _armadillo(p)[0],
-        spacing=lambda p: np.clip(_armadillo(p)[1], 1.3, 4.0) ** 0.45,  # finer where the part is thin
-        features=project(lambda p: _armadillo(p)[0], np.array([snout.tip(), *ends, tail.tip()])),
+        distance=lambda p: _measure_armadillo(p)[0],
+        spacing=lambda p: np.clip(_measure_armadillo(p)[1], 1.3, 4.0) ** 0.45,  # finer where the part is thin
+        features=project(lambda p: _measure_armadillo(p)[0], np.array([snout.tip(), *ends, tail.tip()])),
     )
 
 
@@ -171,13 +173,13 @@ _TABLE = np.array([part.row() for part in _PARTS])
 _IS_ELLIPSOID = np.array([part.radii is not None for part in _PARTS])
 
 
-def _armadillo(p: Floats) -> tuple[Floats, Floats]:
+def _measure_armadillo(p: Floats) -> tuple[Floats, Floats]:
     """Return the distance and the radius of the part that is nearest."""
-    return _blended(np.ascontiguousarray(p), _TABLE, _IS_ELLIPSOID)
+    return _blend_parts(np.ascontiguousarray(p), _TABLE, _IS_ELLIPSOID)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _blended(points: Floats, table: Floats, is_ellipsoid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _blend_parts(points: Floats, table: Floats, is_ellipsoid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Return what `_armadillo` does; compiled, since it is asked for two points at a time very often."""
     distance, radius = np.zeros(len(points)), np.zeros(len(points))
     for n in range(len(points)):

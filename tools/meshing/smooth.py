@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from tools.meshing.points import OUTWARD
-from tools.meshing.shapes import Floats, Ints, Shape, gradient
+from tools.meshing.shapes import Floats, Ints, Shape, compute_gradient
 
 C = 6 * np.sqrt(2)
 _PAIRS = [(i, j) for i in range(4) for j in range(i)]
@@ -16,7 +16,7 @@ _LEAST = 1e-3  # quality below which a mesh of good cells is not let
 _SOFT = 0.02  # with worse cells in it, quality is smoothed over this width, so that they can be mended
 
 
-def cell_quality(points: Floats, cells: Ints) -> Floats:
+def compute_cell_quality(points: Floats, cells: Ints) -> Floats:
     """Return q (e,); negative where inverted."""
     e = points[cells]
     volume = np.einsum("ij,ij->i", np.cross(e[:, 1] - e[:, 0], e[:, 2] - e[:, 0]), e[:, 3] - e[:, 0]) / 6
@@ -24,7 +24,7 @@ def cell_quality(points: Floats, cells: Ints) -> Floats:
     return np.asarray(C * volume / mean_square**1.5)
 
 
-def surface_faces(cells: Ints) -> Ints:
+def list_surface_faces(cells: Ints) -> Ints:
     """Return the faces of one cell only (f, 3), outward."""
     faces = cells[:, OUTWARD].reshape(-1, 3)
     _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
@@ -33,15 +33,15 @@ def surface_faces(cells: Ints) -> Ints:
     return faces[first[count == 1]]
 
 
-def smoothed(shape: Shape, points: Floats, cells: Ints, *, iterations: int, fit: float = 60.0) -> Floats:
+def smooth_points(shape: Shape, points: Floats, cells: Ints, *, iterations: int, fit: float = 60.0) -> Floats:
     """Return the points after L-BFGS, or as they were where that made the worst cell worse; fit holds the surface."""
-    before = cell_quality(points, cells).min()
+    before = compute_cell_quality(points, cells).min()
     objective = _Objective(shape, points, cells, fit, soft=0.0 if before > _SOFT else _SOFT)
     result = minimize(
         objective, points.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": iterations, "maxcor": 20}
     )
     found = np.asarray(result.x, dtype=np.float64).reshape(-1, 3)
-    return found if cell_quality(found, cells).min() >= min(1e-4, before) else points
+    return found if compute_cell_quality(found, cells).min() >= min(1e-4, before) else points
 
 
 class _Objective:
@@ -49,7 +49,7 @@ class _Objective:
 
     def __init__(self, shape: Shape, points: Floats, cells: Ints, fit: float, *, soft: float) -> None:
         self.shape, self.cells, self.soft = shape, cells, soft
-        faces = surface_faces(cells)
+        faces = list_surface_faces(cells)
         self.surface = np.unique(faces)
         self.edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1), axis=0)
         e = points[cells]
@@ -103,11 +103,11 @@ class _Objective:
         """Return what surface nodes, middles of edges and features are off by, and add the gradient to slope."""
         distance = self.shape.distance
         on, w = points[self.surface], self.surface_weight
-        f, g = distance(on), gradient(distance, on)
+        f, g = distance(on), compute_gradient(distance, on)
         nodes = (w * f**2).sum()
         slope[self.surface] += 2 * (w * f)[:, None] * g
         middle = (points[self.edges[:, 0]] + points[self.edges[:, 1]]) / 2
-        f, g = distance(middle), gradient(distance, middle)
+        f, g = distance(middle), compute_gradient(distance, middle)
         edges = self.edge_weight * (f**2).sum()
         half = self.edge_weight * f[:, None] * g
         np.add.at(slope, self.edges[:, 0], half)

@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.errors import MeshError, SolveError
 from pipeline.problem.problem import Problem
-from pipeline.studies.scaling.step_cost import median_ms, peak_megabytes, point_problem
+from pipeline.studies.scaling.step_cost import build_point, measure_median_ms, read_peak_megabytes
 
 INSTALL = "pip install 'corotational-pipeline[bench]', in an environment of its own"
 _WARM_STEPS = 5  # so that the cells have turned when ours is timed
@@ -25,7 +25,7 @@ _WARM_STEPS = 5  # so that the cells have turned when ours is timed
 _MUJOCO_ITERATIONS = 1000
 
 
-class Costs(NamedTuple):
+class PeerCosts(NamedTuple):
     """Milliseconds of a peer, of what is nearest to it here, and seconds of the peer's set-up."""
 
     ms: float
@@ -38,11 +38,11 @@ class Peer(NamedTuple):
 
     module: str
     what: str
-    costs: Callable[[Problem], Costs]
+    costs: Callable[[Problem], PeerCosts]
     differs: str
 
 
-def _felupe(problem: Problem) -> Costs:
+def _measure_felupe(problem: Problem) -> PeerCosts:
     """Return the costs of felupe's stiffness of linear elasticity at rest, and of our linearisation."""
     import felupe
 
@@ -56,20 +56,20 @@ def _felupe(problem: Problem) -> Costs:
     stepper, state = problem.prepare(), problem.start
     for _ in range(_WARM_STEPS):
         state, _ = stepper.step(state)
-    ours = median_ms(lambda: body.linearise(state.x))
-    return Costs(median_ms(lambda: solid.assemble.matrix(field)), ours, setup)
+    ours = measure_median_ms(lambda: body.linearise(state.x))
+    return PeerCosts(measure_median_ms(lambda: solid.assemble.matrix(field)), ours, setup)
 
 
-def _mujoco(problem: Problem) -> Costs:
+def _measure_mujoco(problem: Problem) -> PeerCosts:
     """Return the costs of a step of MuJoCo's flex, and of ours; raises SolveError where MuJoCo warns of a step."""
     import mujoco
 
-    with heard() as warned:
+    with capture_warnings() as warned:
         began = time.perf_counter()
-        model, data = flex(problem)
+        model, data = make_flex(problem)
         setup = time.perf_counter() - began
         warned.clear()  # it misses passive forces, and yet the flex has the elasticity that it was given
-        ms = median_ms(lambda: mujoco.mj_step(model, data))
+        ms = measure_median_ms(lambda: mujoco.mj_step(model, data))
     if warned:
         raise SolveError(f"MuJoCo warned {len(warned)} times, first: {' '.join(warned[0].split())}")
     stepper, state = problem.prepare(), problem.start
@@ -78,11 +78,11 @@ def _mujoco(problem: Problem) -> Costs:
         nonlocal state
         state, _ = stepper.step(state)
 
-    return Costs(ms, median_ms(step), setup)
+    return PeerCosts(ms, measure_median_ms(step), setup)
 
 
 @contextmanager
-def heard() -> Iterator[list[str]]:
+def capture_warnings() -> Iterator[list[str]]:
     """Yield the list that MuJoCo's warnings go to, which it would print and write into a file."""
     import mujoco
 
@@ -95,19 +95,19 @@ def heard() -> Iterator[list[str]]:
         mujoco.set_mju_user_warning(before)
 
 
-def flex(problem: Problem) -> tuple[Any, Any]:
+def make_flex(problem: Problem) -> tuple[Any, Any]:
     """Return MuJoCo's model and data of a problem: its tetrahedra, material, pinned nodes, loads, start and step."""
     import mujoco
 
     body, material = problem.body, problem.body.material
     points, cells, held = body.mesh.points, body.mesh.cells, body.supports.nodes
-    pins = f'<pin id="{_numbers(held)}"/>' if held.size else ""
+    pins = f'<pin id="{_format_numbers(held)}"/>' if held.size else ""
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><size memory="2G"/><option timestep="{problem.dt!r}" integrator="discrete" gravity="0 0 0" '
         f'iterations="{_MUJOCO_ITERATIONS}"><flag contact="disable"/></option><worldbody>'
         f'<flexcomp name="body" type="direct" dim="3" radius="0.001" '
         f'mass="{material.density * float(body.mesh.rest_volumes.sum())!r}" '
-        f'point="{_numbers(points)}" element="{_numbers(cells)}">'
+        f'point="{_format_numbers(points)}" element="{_format_numbers(cells)}">'
         f'<elasticity young="{material.youngs_modulus!r}" poisson="{material.poisson_ratio!r}"/>'
         f'<contact contype="0" conaffinity="0" selfcollide="none"/>{pins}</flexcomp></worldbody></mujoco>'
     )
@@ -117,7 +117,7 @@ def flex(problem: Problem) -> tuple[Any, Any]:
     return model, data
 
 
-def _numbers(array: "np.ndarray[Any, Any]") -> str:
+def _format_numbers(array: "np.ndarray[Any, Any]") -> str:
     return " ".join(map(repr, array.ravel().tolist()))
 
 
@@ -125,30 +125,30 @@ PEERS: Mapping[str, Peer] = {
     "felupe": Peer(
         "felupe",
         "an assembly",
-        _felupe,
+        _measure_felupe,
         "an assembly, no step: felupe's is the stiffness of linear elasticity at rest, ours the rotations, forces and "
         "corotational stiffness of a moving state, of which it stores one triangle",
     ),
     "mujoco": Peer(
         "mujoco",
         "a step",
-        _mujoco,
+        _measure_mujoco,
         'a step of the same dt: Saint Venant-Kirchhoff elasticity, integrator "discrete" (one solve with M + h^2 K), '
         "tolerance 1e-8 of its own kind, the mass equal on all nodes, supports at rest; ours one_solve, corotational",
     ),
 }
 
 
-def available() -> list[str]:
+def list_installed() -> list[str]:
     """Return the names of the peers that can be imported."""
     return [name for name, peer in PEERS.items() if find_spec(peer.module) is not None]
 
 
-def measured(settings: dict[str, Any]) -> dict[str, Any]:
+def measure_peer(settings: dict[str, Any]) -> dict[str, Any]:
     """Return the row of one peer on one mesh; raises MeshError in the plane, SolveError where it fails."""
     name = settings["method"]
     peer = PEERS[name]
-    problem = point_problem(settings | {"method": "one_solve"})
+    problem = build_point(settings | {"method": "one_solve"})
     cells = len(problem.body.mesh.cells)
     if problem.body.mesh.dimension != 3:
         raise MeshError(f"{name} is measured with tetrahedra only")
@@ -165,13 +165,13 @@ def measured(settings: dict[str, Any]) -> dict[str, Any]:
         "ours_ms": costs.ours_ms,
         "setup_s": costs.setup_s,
         "differs": peer.differs,
-        "peak_MB": peak_megabytes(),
+        "peak_MB": read_peak_megabytes(),
     }
 
 
 def main() -> None:
     """Print the row of the settings given as JSON."""
-    sys.stdout.write(json.dumps(measured(json.loads(sys.argv[1]))) + "\n")
+    sys.stdout.write(json.dumps(measure_peer(json.loads(sys.argv[1]))) + "\n")
 
 
 if __name__ == "__main__":

@@ -33,21 +33,21 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 _LEAST_SECONDS = 0.3
 _SECONDS, _MOST_STEPS, _LEAST_STEPS, _TURNS = 3.0, 200, 3, 3
-_MADE_TWICE = 20_000  # cells
-_PLAIN_SUPERLU = 50_000  # cells: above it a factor a step takes minutes
+_MOST_CELLS_PREPARED_TWICE = 20_000  # cells
+_MOST_CELLS_SUPERLU = 50_000  # cells: above it a factor a step takes minutes
 
 
-def measured(settings: dict[str, Any]) -> dict[str, Any]:
+def measure_step_cost(settings: dict[str, Any]) -> dict[str, Any]:
     """Return the row of one point: see scaling.py for what its columns mean."""
-    problem = point_problem(settings)
+    problem = build_point(settings)
     body, method = problem.body, settings["method"]
-    stepper, setup, loading = _prepared(problem, settings)
-    ms, work = _timed(stepper, problem)
+    stepper, setup, loading = _time_setup(problem, settings)
+    ms, work = _time_steps(stepper, problem)
     cells = len(body.mesh.cells)
     solvers = list_linear_solvers(body, problem.dt, problem.method)
-    peak, plain = peak_megabytes(), None  # the peak before plain scipy, which takes more
+    peak, plain = read_peak_megabytes(), None  # the peak before plain scipy, which takes more
     if method == "one_solve" and settings["baseline"]:
-        ms, plain = _beside_plain(stepper, problem)
+        ms, plain = _race_plain(stepper, problem)
     return {
         "method": method,
         "cells": settings.get("cells"),
@@ -62,14 +62,14 @@ def measured(settings: dict[str, Any]) -> dict[str, Any]:
         "setup_s": setup,
         "loading_s": loading,
         "linear_solver": [one["name"] for one in solvers],
-        "bytes": _bytes(problem, method, work, solvers),
+        "bytes": _count_bytes(problem, method, work, solvers),
         "peak_MB": peak,
         "baseline_ms": plain,
         "baseline": "plain scipy: the better of SuperLU and Jacobi-CG" if method == "one_solve" else None,
     }
 
 
-def _prepared(problem: Problem, settings: dict[str, Any]) -> tuple[Stepper, float, float | None]:
+def _time_setup(problem: Problem, settings: dict[str, Any]) -> tuple[Stepper, float, float | None]:
     """Return the stepper, the seconds to make it, and those of loading kernels, once a process.
 
     These are what the first of two makings takes longer; of large meshes only one is made: there they hardly count.
@@ -77,16 +77,16 @@ def _prepared(problem: Problem, settings: dict[str, Any]) -> tuple[Stepper, floa
     began = time.perf_counter()
     stepper = problem.prepare()
     first = time.perf_counter() - began
-    if len(problem.body.mesh.cells) > _MADE_TWICE:
+    if len(problem.body.mesh.cells) > _MOST_CELLS_PREPARED_TWICE:
         return stepper, first, None
-    again = point_problem(settings)
+    again = build_point(settings)
     began = time.perf_counter()
     again.prepare()
     setup = time.perf_counter() - began
     return stepper, setup, first - setup
 
 
-def point_problem(settings: dict[str, Any]) -> Problem:
+def build_point(settings: dict[str, Any]) -> Problem:
     """Return the problem of one point: a case, the cells of its mesh, a method and the tolerance of its systems."""
     cells = {"mesh.cells": settings["cells"]} if settings.get("cells") else {}
     keys = METHODS[settings["method"]] | cells | {"method.linear_rtol": settings["rtol"]}
@@ -96,15 +96,15 @@ def point_problem(settings: dict[str, Any]) -> Problem:
     return build(load_case(path, overrides=keys).variant(variant))
 
 
-def median_ms(call: Callable[[], object]) -> float:
+def measure_median_ms(call: Callable[[], object]) -> float:
     """Return the median milliseconds of a call, the first left out: of the processor's time, on one thread.
 
     Where others share the core, calls longer than a turn on it would seem slower beside short ones.
     """
-    return 1e3 * float(np.median(_seconds(call, least=_LEAST_STEPS, total=_SECONDS)))
+    return 1e3 * float(np.median(_time_calls(call, least=_LEAST_STEPS, total=_SECONDS)))
 
 
-def _seconds(call: Callable[[], object], *, least: int, total: float) -> list[float]:
+def _time_calls(call: Callable[[], object], *, least: int, total: float) -> list[float]:
     call()
     times: list[float] = []
     while len(times) < least or (sum(times) < total and len(times) < _MOST_STEPS):
@@ -114,34 +114,34 @@ def _seconds(call: Callable[[], object], *, least: int, total: float) -> list[fl
     return times
 
 
-def _timed(stepper: Stepper, problem: Problem) -> tuple[float, dict[str, float]]:
+def _time_steps(stepper: Stepper, problem: Problem) -> tuple[float, dict[str, float]]:
     """Return the median milliseconds of a step and the medians of its work, the first left out."""
     reports, found = list[StepReport](), list[float]()
     while sum(found) < _LEAST_SECONDS:  # from the start again: a motion that comes to rest costs less
-        found += _seconds(_moving(stepper, problem, reports), least=_LEAST_STEPS, total=_SECONDS)
+        found += _time_calls(_make_steps(stepper, problem, reports), least=_LEAST_STEPS, total=_SECONDS)
     names = ("iterations", "linear_iterations", "solves")
     medians = {name: float(np.median([getattr(report.work, name) for report in reports[1:]])) for name in names}
     medians["rung"] = float(np.median([report.choice.rung if report.choice else 0 for report in reports[1:]]))
     return 1e3 * float(np.median(found)), medians
 
 
-def _beside_plain(stepper: Stepper, problem: Problem) -> tuple[float, float]:
+def _race_plain(stepper: Stepper, problem: Problem) -> tuple[float, float]:
     """Return the median milliseconds of a step, and of one of plain scipy, direct or iterative, whichever is faster.
 
     They take turns, each from the start: a shared machine changes its pace.
     """
-    solvers = ("cg", "superlu") if len(problem.body.mesh.cells) <= _PLAIN_SUPERLU else ("cg",)
+    solvers = ("cg", "superlu") if len(problem.body.mesh.cells) <= _MOST_CELLS_SUPERLU else ("cg",)
     plain = [PlainStep(problem.body, problem.dt, solver) for solver in solvers]
     times: list[list[float]] = [[] for _ in range(1 + len(plain))]
     for _ in range(_TURNS):
-        steps = [_moving(stepper, problem), *(_plainly_moving(one, problem) for one in plain)]
+        steps = [_make_steps(stepper, problem), *(_make_plain_steps(one, problem) for one in plain)]
         for step, found in zip(steps, times, strict=True):
-            found += _seconds(step, least=1, total=_SECONDS / _TURNS)
+            found += _time_calls(step, least=1, total=_SECONDS / _TURNS)
     ours, *theirs = (1e3 * float(np.median(found)) for found in times)
     return ours, min(theirs)
 
 
-def _moving(stepper: Stepper, problem: Problem, reports: list[StepReport] | None = None) -> Callable[[], None]:
+def _make_steps(stepper: Stepper, problem: Problem, reports: list[StepReport] | None = None) -> Callable[[], None]:
     state = problem.start
 
     def step() -> None:
@@ -153,7 +153,7 @@ def _moving(stepper: Stepper, problem: Problem, reports: list[StepReport] | None
     return step
 
 
-def _plainly_moving(stepper: PlainStep, problem: Problem) -> Callable[[], None]:
+def _make_plain_steps(stepper: PlainStep, problem: Problem) -> Callable[[], None]:
     x, v = problem.start.x, problem.start.v
 
     def step() -> None:
@@ -163,7 +163,7 @@ def _plainly_moving(stepper: PlainStep, problem: Problem) -> Callable[[], None]:
     return step
 
 
-def _bytes(problem: Problem, method: str, work: dict[str, float], solvers: list[dict[str, str]]) -> float:
+def _count_bytes(problem: Problem, method: str, work: dict[str, float], solvers: list[dict[str, str]]) -> float:
     """Return what a step has to read and write at least, vectors left out: cells, matrix and factor.
 
     A cell is its corners, gradients, volume and blocks; the matrix is written once and read once an iteration; a factor
@@ -185,7 +185,7 @@ def _bytes(problem: Problem, method: str, work: dict[str, float], solvers: list[
     return solving + work["solves"] * (cells * (per_cell + blocks) + 2 * matrix)
 
 
-def peak_megabytes() -> float | None:
+def read_peak_megabytes() -> float | None:
     """Return the process' largest memory; None where the system does not tell."""
     # first what Linux says of this program alone: its getrusage starts with the memory of the process that started it
     with suppress(OSError, IndexError, ValueError):
@@ -200,7 +200,7 @@ def peak_megabytes() -> float | None:
 
 def main() -> None:
     """Print the row of the settings given as JSON."""
-    sys.stdout.write(json.dumps(measured(json.loads(sys.argv[1]))) + "\n")
+    sys.stdout.write(json.dumps(measure_step_cost(json.loads(sys.argv[1]))) + "\n")
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ import numpy as np
 from pipeline.case import Case
 from pipeline.errors import CaseError, OutputError, quote_value
 from pipeline.formats.atomic import whole_file, write_whole
-from pipeline.studies.scaling.peers import INSTALL, PEERS, available
+from pipeline.studies.scaling.peers import INSTALL, PEERS, list_installed
 from pipeline.studies.scaling.step_cost import METHODS
 
 if TYPE_CHECKING:
@@ -34,25 +34,29 @@ _COLOURS = {
     "linear": "#D55E00", "one_solve": "#0072B2", "gram_schmidt": "#56B4E9", "auto": "#1b1e28", "converged": "#009E73",
     "explicit": "#CC79A7", "felupe": "#a6761d", "mujoco": "#6a3d9a",
 }  # fmt: skip
-Row = dict[str, Any]
+CostRow = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Scaling:
     """The rows, the bandwidth [GB/s] that they are compared with, and the files made."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[CostRow, ...]
     bandwidth: float
     made: tuple[Path, ...]
 
     def lines(self) -> list[str]:
         """Return the table, a line a point."""
         head = "method         tets   ms a step   ns a tet   iterations   set-up s   peak MB   bound ms   plain scipy"
-        lines = [head, *(_line(row) for row in self.rows if row["method"] not in PEERS), *_newton_lines(self.rows)]
-        return lines + _peer_lines([row for row in self.rows if row["method"] in PEERS])
+        lines = [
+            head,
+            *(_format_row(row) for row in self.rows if row["method"] not in PEERS),
+            *_list_newton_lines(self.rows),
+        ]
+        return lines + _list_peer_lines([row for row in self.rows if row["method"] in PEERS])
 
 
-def scaling(
+def study_scaling(
     cases: Sequence[Case],
     out: Path,
     *,
@@ -70,20 +74,28 @@ def scaling(
     """
     if unknown := [name for name in methods if name not in (*METHODS, *PEERS)]:
         raise CaseError(f"--method {quote_value(unknown[0])}: is not one of {', '.join((*METHODS, *PEERS))}")
-    if missing := [name for name in methods if name in PEERS and name not in available()]:
+    if missing := [name for name in methods if name in PEERS and name not in list_installed()]:
         raise CaseError(f"--method {missing[0]}: is not installed: {INSTALL}")
     points: list[dict[str, Any]] = []
     for case in cases:
         file = out / "cases" / f"{case.name}.toml"
         write_whole(file, case.to_toml(file.parent))
-        point = {"name": case.name, "case": str(file), "variant": _plainest(case), "rtol": rtol, "baseline": baseline}
+        point = {
+            "name": case.name,
+            "case": str(file),
+            "variant": _choose_variant(case),
+            "rtol": rtol,
+            "baseline": baseline,
+        }
         meshes = [list(one) for one in cells] if cells and case.mesh.shape else [None]
         points += [
-            point | {"cells": mesh, "method": name} for mesh in meshes for name in (methods or (*METHODS, *available()))
+            point | {"cells": mesh, "method": name}
+            for mesh in meshes
+            for name in (methods or (*METHODS, *list_installed()))
         ]
-    rows, bandwidth = [], _bandwidth()
+    rows, bandwidth = [], _measure_bandwidth()
     for index, point in enumerate(points):
-        rows.append({"case": point["name"]} | _row(point, bandwidth))
+        rows.append({"case": point["name"]} | _measure_row(point, bandwidth))
         if on_point is not None:
             on_point(index + 1, len(points))
     machine = {"processor": platform.machine(), "cores": os.cpu_count(), "bandwidth_GB_per_s": bandwidth}
@@ -93,30 +105,30 @@ def scaling(
     )
     path = out / "bench.json"
     write_whole(path, json.dumps({"rows": rows, "machine": machine, "rtol": rtol, "note": said}, indent=2) + "\n")
-    _figure(rows, out / "scaling.png")
+    _write_figure(rows, out / "scaling.png")
     return Scaling(tuple(rows), bandwidth, (path, out / "scaling.png"))
 
 
-def _plainest(case: Case) -> str:
+def _choose_variant(case: Case) -> str:
     """Return the variant that says least of its own: what is set for a point must not be undone by it."""
     return min(case.variant_names, key=lambda name: len(case.variant(name).own_keys))
 
 
-def _row(point: Row, bandwidth: float) -> Row:
+def _measure_row(point: CostRow, bandwidth: float) -> CostRow:
     """Return the row of one point, measured in a process of its own on one thread."""
     environment = os.environ | dict.fromkeys(_THREADS, "1")
-    module = "peers" if point["method"] in PEERS else "cost"
-    command = [sys.executable, "-m", f"pipeline.studies.{module}", json.dumps(point)]
+    module = "peers" if point["method"] in PEERS else "step_cost"
+    command = [sys.executable, "-m", f"pipeline.studies.scaling.{module}", json.dumps(point)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         said = (done.stderr.strip().splitlines() or [f"the process ended with {done.returncode}"])[-1]
         return {"method": point["method"], "cells": point["cells"], "error": said}
-    row: Row = json.loads(done.stdout)
+    row: CostRow = json.loads(done.stdout)
     bound = {"bound_ms": row["bytes"] / bandwidth / 1e6} if "bytes" in row else {}
     return row | bound | {"error": None}
 
 
-def _bandwidth() -> float:
+def _measure_bandwidth() -> float:
     """Return what one thread copies [GB/s], read and written: the best of some copies of 200 MB."""
     source = np.ones(25_000_000)
     target = np.empty_like(source)
@@ -128,7 +140,7 @@ def _bandwidth() -> float:
     return 2 * source.nbytes / min(times) / 1e9
 
 
-def _line(row: Row) -> str:
+def _format_row(row: CostRow) -> str:
     if row["error"]:
         return f"{row['method']:<10} {row['cells']}: {row['error']}"
     peak = f"{row['peak_MB']:9.0f}" if row["peak_MB"] else f"{'':9}"
@@ -139,7 +151,7 @@ def _line(row: Row) -> str:
     )
 
 
-def _newton_lines(rows: Sequence[Row]) -> list[str]:
+def _list_newton_lines(rows: Sequence[CostRow]) -> list[str]:
     """Return what an iteration of the converged method costs beside the one solve of the same mesh."""
     good = [row for row in rows if not row["error"] and row["method"] in ("one_solve", "converged")]
     one = {(row["case"], row["tets"]): row["ms"] for row in good if row["method"] == "one_solve"}
@@ -150,17 +162,17 @@ def _newton_lines(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def _peer_lines(rows: Sequence[Row]) -> list[str]:
+def _list_peer_lines(rows: Sequence[CostRow]) -> list[str]:
     """Return the table of other programs, what differs, and which could be installed."""
-    missing = [name for name in PEERS if name not in available()]
+    missing = [name for name in PEERS if name not in list_installed()]
     lines = [f"not compared with {', '.join(missing)}: {INSTALL}"] if missing else []
     if not rows:
         return lines
-    lines = ["other programs     tets         ms   ns a tet   set-up s   ours ms", *map(_peer_line, rows), *lines]
+    lines = ["other programs     tets         ms   ns a tet   set-up s   ours ms", *map(_format_peer_row, rows), *lines]
     return lines + [f"{name}: {peer.differs}" for name, peer in PEERS.items() if any(r["method"] == name for r in rows)]
 
 
-def _peer_line(row: Row) -> str:
+def _format_peer_row(row: CostRow) -> str:
     if row["error"]:
         return f"{row['method']:<10} {row['cells']}: {row['error']}"
     return (
@@ -169,7 +181,7 @@ def _peer_line(row: Row) -> str:
     )
 
 
-def _figure(rows: Sequence[Row], path: Path) -> None:
+def _write_figure(rows: Sequence[CostRow], path: Path) -> None:
     """Write the cost of a step against the size of the mesh, both logarithmic; raises OutputError."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -197,7 +209,7 @@ def _figure(rows: Sequence[Row], path: Path) -> None:
             figure.savefig(hidden, metadata={"Software": None})
 
 
-def _draw(axes: "Axes", rows: Sequence[Row], label: str, colour: str) -> None:
+def _draw(axes: "Axes", rows: Sequence[CostRow], label: str, colour: str) -> None:
     if not rows:
         return
     rows = sorted(rows, key=lambda row: int(row["tets"]))

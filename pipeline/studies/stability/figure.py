@@ -19,7 +19,7 @@ _COLOURS = ("#b7e3d0", "#fff2b3", "#f2b37a", "#d9dce3", "#9dc3e6", "#f4f5f7", "#
 _COLUMNS = 2
 
 
-def stability_figure(study: "Stability", path: Path) -> None:
+def write_stability_figure(study: "Stability", path: Path) -> None:
     """Write the heat maps of a study as PNG; raises OutputError where it cannot."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -64,7 +64,7 @@ def _draw(axes: "Axes", study: "Stability", name: str, *, labels: bool) -> None:
         for column in range(len(values)):
             result = study.results[name, column, method]
             if result["outcome"] != REFUSED:
-                text = _short(float(result["worst_volume_ratio"]))
+                text = _format_short(float(result["worst_volume_ratio"]))
                 axes.text(column, row, text, ha="center", va="center", fontsize=6, color="#1b1e28")
     one = SLICES[name]
     unit = "" if one.units == "1" else f" [{one.units}]"
@@ -78,6 +78,6 @@ def _draw(axes: "Axes", study: "Stability", name: str, *, labels: bool) -> None:
     axes.spines[:].set_visible(False)
 
 
-def _short(value: float) -> str:
+def _format_short(value: float) -> str:
     """Return a number in at most six characters."""
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0e}".replace("e+0", "e").replace("e+", "e")

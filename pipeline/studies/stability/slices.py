@@ -37,7 +37,7 @@ _SPIN_SPEED = 0.4
 
 
 @dataclass(frozen=True)
-class Scene:
+class ExtremeScene:
     """A case and the numbers of its body that extremes are measured by: dimension, size [m], speed of sound [m/s]."""
 
     case: Case
@@ -46,7 +46,7 @@ class Scene:
     sound: float
 
     @classmethod
-    def of(cls, case: Case, mesh: Mesh) -> "Scene":
+    def of(cls, case: Case, mesh: Mesh) -> "ExtremeScene":
         """Return the scene of a case with that mesh."""
         m = case.material
         return cls(case, mesh.dimension, mesh.size, (m.youngs_modulus / m.density) ** 0.5)
@@ -61,12 +61,12 @@ class Slice:
 
     units: str
     long_name: str
-    values: Callable[[Scene], tuple[float, ...]]
-    settings: Callable[[Scene, float], Settings]
+    values: Callable[[ExtremeScene], tuple[float, ...]]
+    settings: Callable[[ExtremeScene, float], Settings]
     judged: str = "converged"
 
 
-def _spun(scene: Scene, angle: float) -> Settings:
+def _make_spin(scene: ExtremeScene, angle: float) -> Settings:
     """Return a free body that turns by the angle [rad] in a step, about an axis of no symmetry."""
     rate = _SPIN_SPEED * scene.sound / scene.size
     axis = [0.0, 0.0, 1.0] if scene.dimension == 2 else [1.0, 0.3, 0.2]
@@ -77,13 +77,13 @@ def _spun(scene: Scene, angle: float) -> Settings:
     }
 
 
-def _from_rest(scene: Scene, **disturbance: float) -> Settings:
+def _make_unloaded(scene: ExtremeScene, **disturbance: float) -> Settings:
     """Return a body without loads or motion, so that its rest shape is where it belongs, disturbed."""
     held = [{k: v for k, v in support.items() if k != "motion"} for support in scene.case.as_dict().get("supports", ())]
     return {"changes": {"supports": held, "loads": {}, "initial": {}}, **disturbance}
 
 
-def _decades(middle: float) -> tuple[float, ...]:
+def _make_decades(middle: float) -> tuple[float, ...]:
     return tuple(middle * 10.0**power for power in (-6, -4, -2, 0, 2, 4, 6))
 
 
@@ -98,7 +98,7 @@ SLICES: Mapping[str, Slice] = {
         "rad",
         "angle that a free body turns by in a step",
         lambda scene: (0.01, 0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0, 50.0),
-        _spun,
+        _make_spin,
     ),
     "poisson_ratio": Slice(
         "1",
@@ -109,13 +109,13 @@ SLICES: Mapping[str, Slice] = {
     "youngs_modulus": Slice(
         "Pa",
         "Young's modulus",
-        lambda scene: _decades(scene.case.material.youngs_modulus),
+        lambda scene: _make_decades(scene.case.material.youngs_modulus),
         lambda scene, E: {"changes": {"material.youngs_modulus": E}},
     ),
     "density": Slice(
         "kg m-3",
         "density",
-        lambda scene: _decades(scene.case.material.density),
+        lambda scene: _make_decades(scene.case.material.density),
         lambda scene, rho: {"changes": {"material.density": rho}},
     ),
     "sliver": Slice(
@@ -128,20 +128,22 @@ SLICES: Mapping[str, Slice] = {
         "1",
         "way of every node along every axis, at most, over the size of the body",
         lambda scene: (0.01, 0.03, 0.1, 0.226, 0.5, 1.0),  # 0.226 is 3 m in the thesis' bar
-        lambda scene, reach: _from_rest(scene, scramble=reach * scene.size),
+        lambda scene, reach: _make_unloaded(scene, scramble=reach * scene.size),
         "rest",
     ),
     "inversion": Slice(
         "1",
         "depth of some apexes below their bases over the height of the cell",
         lambda scene: (0.2, 0.5, 0.8, 1.2, 2.0, 5.0),
-        lambda scene, depth: _from_rest(scene, inversion=depth),
+        lambda scene, depth: _make_unloaded(scene, inversion=depth),
         "rest",
     ),
 }
 
 
-def trial_settings(scene: Scene, name: str, value: float, method: str, *, steps: int, tolerance: float) -> Settings:
+def make_trial_settings(
+    scene: ExtremeScene, name: str, value: float, method: str, *, steps: int, tolerance: float
+) -> Settings:
     """Return all that the trial of one method at one value of a slice depends on, as plain JSON."""
     case, one = scene.case, SLICES[name]
     document = case.as_dict()

@@ -14,9 +14,9 @@ from pipeline.errors import CaseError, quote_value
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.netcdf import write_dataset
 from pipeline.problem.problem import build, build_mesh
-from pipeline.studies.stability.slices import METHODS, SLICES, Scene, trial_settings
-from pipeline.studies.stability.trial import NOTHING, OUTCOMES, REFUSED, SURVIVES, UNEXPECTED, trial
-from pipeline.studies.sweep import Point, sweep
+from pipeline.studies.stability.slices import METHODS, SLICES, ExtremeScene, make_trial_settings
+from pipeline.studies.stability.trial import NOTHING, OUTCOMES, REFUSED, SURVIVES, UNEXPECTED, run_trial
+from pipeline.studies.sweep import Point, run_sweep
 
 if TYPE_CHECKING:
     import xarray
@@ -100,29 +100,29 @@ def study_stability(
     if not 0 < tolerance < 1:
         raise CaseError(f"tolerance: {tolerance:g} is not between 0 and 1")
     build(case.variant(case.variant_names[0]))  # a case that cannot be built is one error, and not one a point
-    scene = Scene.of(case, build_mesh(case))
+    scene = ExtremeScene.of(case, build_mesh(case))
     chosen = {name: SLICES[name].values(scene) for name in SLICES if name in slices or not slices}
     points = {
         (name, i, method): Point(
             f"{name}-{i}-{method.replace(' ', '-')}",
-            trial_settings(scene, name, value, method, steps=steps, tolerance=tolerance),
+            make_trial_settings(scene, name, value, method, steps=steps, tolerance=tolerance),
         )
         for name, values in chosen.items()
         for i, value in enumerate(values)
         for method in METHODS
     }  # fmt: skip
     into = folder / case.name
-    found = sweep(trial, list(points.values()), into, scheduler=scheduler, on_result=on_point)
-    results = {place: judged(found[point.key]) for place, point in points.items()}
-    return _written(Stability(case.name, chosen, results, steps, tolerance), into)
+    found = run_sweep(run_trial, list(points.values()), into, scheduler=scheduler, on_result=on_point)
+    results = {place: complete_result(found[point.key]) for place, point in points.items()}
+    return _write_study(Stability(case.name, chosen, results, steps, tolerance), into)
 
 
-def judged(result: Mapping[str, Any]) -> Mapping[str, Any]:
+def complete_result(result: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return a result of the sweep with an outcome: an error that no trial tells of is an unexpected one."""
     return result if "outcome" in result else {**NOTHING, "outcome": UNEXPECTED, "message": result["error"]}
 
 
-def dataset(study: Stability) -> "xarray.Dataset":
+def make_dataset(study: Stability) -> "xarray.Dataset":
     """Return the study as a CF dataset: for every slice outcome_<slice> (method, <slice>), its numbers and messages."""
     import xarray
 
@@ -153,7 +153,7 @@ def dataset(study: Stability) -> "xarray.Dataset":
     return xarray.Dataset(data, coordinates, attributes)
 
 
-def summary(study: Stability) -> dict[str, Any]:
+def make_summary(study: Stability) -> dict[str, Any]:
     """Return the study as plain JSON: how many trials ended how, the lines, and every message with its places."""
     messages: dict[str, list[str]] = {}
     for (name, i, method), result in study.results.items():
@@ -171,12 +171,12 @@ def summary(study: Stability) -> dict[str, Any]:
     }
 
 
-def _written(study: Stability, folder: Path) -> Stability:
+def _write_study(study: Stability, folder: Path) -> Stability:
     """Write the study's dataset, picture and summary; raises OutputError."""
-    from pipeline.studies.stability.figure import stability_figure
+    from pipeline.studies.stability.figure import write_stability_figure
 
     paths = tuple(folder / name for name in ("stability.nc", "stability.png", "summary.json"))
-    write_dataset(dataset(study), paths[0])
-    stability_figure(study, paths[1])
-    write_whole(paths[2], json.dumps(summary(study), indent=2, allow_nan=False) + "\n")
+    write_dataset(make_dataset(study), paths[0])
+    write_stability_figure(study, paths[1])
+    write_whole(paths[2], json.dumps(make_summary(study), indent=2, allow_nan=False) + "\n")
     return Stability(study.name, study.values, study.results, study.steps, study.tolerance, paths)

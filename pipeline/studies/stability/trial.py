@@ -18,7 +18,7 @@ from pipeline.run.frames import frames
 from pipeline.stepping.energy_guard import natural_energy, work_of_supports
 from pipeline.stepping.state import State
 from pipeline.stepping.symplectic_euler import element_limit
-from pipeline.studies.stability.perturb_mesh import apexes_moved, scrambled
+from pipeline.studies.stability.perturbations import move_apexes, scramble_nodes
 from pipeline.studies.stability.slices import EXPLICIT
 
 OUTCOMES: Mapping[str, str] = {
@@ -62,7 +62,7 @@ class Course:
         return float(extremes[np.abs(extremes - 1).argmax()])
 
 
-def trial(settings: Mapping[str, Any]) -> dict[str, Any]:
+def run_trial(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the outcome of a method at an extreme, and the numbers that it was judged by; all are finite.
 
     outcome             one of OUTCOMES, the last of which is not told here; an error with its message
@@ -71,7 +71,7 @@ def trial(settings: Mapping[str, Any]) -> dict[str, Any]:
     volume_error        the largest |J - J_reference|, node_distance the largest |x - x_reference| over the size
     """
     try:
-        course = _run(_staged(settings, settings["method"]))
+        course = _run_problem(_build_trial(settings, settings["method"]))
     except (CaseError, MeshError) as error:
         return {**NOTHING, "outcome": REFUSED, "message": str(error).removeprefix(f"{settings['case']}: ")}
     found = {
@@ -81,11 +81,11 @@ def trial(settings: Mapping[str, Any]) -> dict[str, Any]:
         "energy_growth": course.energy_growth,
         "message": course.message,
     }
-    errors = _from_rest(course) if settings["judged"] == "rest" else _from_reference(course, settings)
-    return {**NOTHING, **found, **errors, "outcome": _outcome(course, errors, settings["tolerance"])}
+    errors = _compare_with_rest(course) if settings["judged"] == "rest" else _compare_with_reference(course, settings)
+    return {**NOTHING, **found, **errors, "outcome": _judge_outcome(course, errors, settings["tolerance"])}
 
 
-def _outcome(course: Course, errors: Mapping[str, float], tolerance: float) -> str:
+def _judge_outcome(course: Course, errors: Mapping[str, float], tolerance: float) -> str:
     if course.message:
         return SOLVE_ERROR
     if not errors:
@@ -95,38 +95,38 @@ def _outcome(course: Course, errors: Mapping[str, float], tolerance: float) -> s
     return SURVIVES if errors["node_distance"] <= tolerance and course.energy_growth <= _BOUNDED else WRONG_MOTION
 
 
-def _case(settings: Mapping[str, Any], changes: Mapping[str, Any]) -> Case:
+def _make_case(settings: Mapping[str, Any], changes: Mapping[str, Any]) -> Case:
     """Return the case with one variant, the changed one."""
     overrides = {**settings["scene"], "movie": {}, "variants": {"trial": {**settings["changes"], **changes}}}
     return load_case(settings["case"], overrides=overrides).variant("trial")
 
 
-def _staged(settings: Mapping[str, Any], method: Mapping[str, Any]) -> Problem:
+def _build_trial(settings: Mapping[str, Any], method: Mapping[str, Any]) -> Problem:
     """Return the problem of a trial, solved by that method; raises CaseError or MeshError where it is refused."""
     changes = {f"method.{key}": value for key, value in method.items()}
     disturbance, seed = settings["disturbance"], settings["seed"]
     mesh = None
     if settings["limit_share"] is not None or "sliver" in disturbance:
         # by a stepper that no step is too long for
-        plain = build(_case(settings, changes | {"method.stepper": "backward_euler", "method.law": "linear"}))
+        plain = build(_make_case(settings, changes | {"method.stepper": "backward_euler", "method.law": "linear"}))
         if "sliver" in disturbance:
             rest, free = plain.body.mesh, plain.body.free
-            mesh = replace(rest, points=apexes_moved(rest, free, 1 - disturbance["sliver"], seed=seed))
+            mesh = replace(rest, points=move_apexes(rest, free, 1 - disturbance["sliver"], seed=seed))
         if settings["limit_share"] is not None:
             limit = element_limit(replace(plain.body, mesh=mesh or plain.body.mesh))
             changes["schedule.dt"] = settings["limit_share"] * limit
-    problem = build(_case(settings, changes), mesh=mesh)
+    problem = build(_make_case(settings, changes), mesh=mesh)
     rest, free, start = problem.body.mesh, problem.body.free, problem.start
     if "scramble" in disturbance:
-        x = scrambled(rest, free, disturbance["scramble"], seed=seed)
+        x = scramble_nodes(rest, free, disturbance["scramble"], seed=seed)
     elif "inversion" in disturbance:
-        x = apexes_moved(rest, free, 1 + disturbance["inversion"], seed=seed)
+        x = move_apexes(rest, free, 1 + disturbance["inversion"], seed=seed)
     else:
         return problem
     return replace(problem, start=State(0, x, start.v))
 
 
-def _run(problem: Problem) -> Course:
+def _run_problem(problem: Problem) -> Course:
     """Return how the problem's run went, a SolveError kept as its message."""
     body = problem.body
     course = Course(body.mesh, held=bool(body.supports.nodes.size))
@@ -135,7 +135,7 @@ def _run(problem: Problem) -> Course:
         for frame in frames(problem):
             energy = float(frame.known["kinetic_energy"] + frame.known["elastic_energy"])
             from_loads = abs(float(frame.known["potential_energy"]))
-            brought += energy + from_loads if before is None else _supports_work(problem, before, frame)
+            brought += energy + from_loads if before is None else _measure_supports_work(problem, before, frame)
             growth = energy / max(brought + from_loads, natural_energy(body))
             course.energy_growth = max(course.energy_growth, growth)
             course.iterations += frame.work.iterations if frame.work else 0
@@ -146,26 +146,26 @@ def _run(problem: Problem) -> Course:
     return course
 
 
-def _supports_work(problem: Problem, before: Frame, after: Frame) -> float:
+def _measure_supports_work(problem: Problem, before: Frame, after: Frame) -> float:
     assert before.state is not None and after.state is not None
     return work_of_supports(problem.body, before.state, after.state, problem.dt)
 
 
 @lru_cache(maxsize=_REFERENCES_KEPT)
-def _reference(text: str) -> Course:
+def _run_reference(text: str) -> Course:
     """Return the converged run that the trial with these settings, as JSON, is judged by."""
     settings = json.loads(text)
     explicit = settings["method"]["stepper"] == EXPLICIT
     converged = {
         key: value for key, value in settings["method"].items() if key in ("stepper", "mass")
     } | {"law": "corotational", "rotation": "polar", "iterations": "converged"}  # fmt: skip
-    return _run(_staged(settings, converged | ({"stepper": "bdf2"} if explicit else {})))
+    return _run_problem(_build_trial(settings, converged | ({"stepper": "bdf2"} if explicit else {})))
 
 
-def _from_reference(course: Course, settings: Mapping[str, Any]) -> dict[str, float]:
+def _compare_with_reference(course: Course, settings: Mapping[str, Any]) -> dict[str, float]:
     """Return the errors against the converged run of the same steps; {} where that failed before this run's end."""
     stepper = {key: settings["method"][key] for key in ("stepper", "mass") if key in settings["method"]}
-    reference = _reference(json.dumps({**settings, "method": stepper}, sort_keys=True))
+    reference = _run_reference(json.dumps({**settings, "method": stepper}, sort_keys=True))
     if len(reference.x) < len(course.x):
         return {}
     steps = range(len(course.x))
@@ -177,7 +177,7 @@ def _from_reference(course: Course, settings: Mapping[str, Any]) -> dict[str, fl
     }
 
 
-def _from_rest(course: Course) -> dict[str, float]:
+def _compare_with_rest(course: Course) -> dict[str, float]:
     """Return the errors of the run's end against the rest shape; where nothing is held, that of the volumes alone."""
     if not course.x:
         return {"volume_error": 0.0, "node_distance": 0.0}

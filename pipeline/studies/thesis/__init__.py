@@ -13,7 +13,7 @@ from pipeline.formats.atomic import write_whole
 from pipeline.problem.problem import build
 from pipeline.results.case_run import run_case
 from pipeline.results.variant_run import Notify
-from pipeline.studies.thesis.our_runs import Scene, scene_of
+from pipeline.studies.thesis.our_runs import ThesisScene, read_scene
 from pipeline.studies.thesis.published import AS_PRINTED, PLANAR_SCENE, SCENES
 from pipeline.studies.thesis.report import KINDS, Report, make_report
 from pipeline.views.html.blocks import render_html, render_markdown
@@ -28,7 +28,7 @@ class Reproduction:
     html: Path
     markdown: Path
     report: Report
-    scenes: dict[str, Scene]
+    scenes: dict[str, ThesisScene]
     failed: tuple[str, ...] = ()
 
     @property
@@ -65,7 +65,7 @@ def reproduce(
     ran, failed = {}, []
     for case in loaded:
         result = run_case(case, out, force=force, resume=resume, movie=movie, notify=notify, on_drawing=on_drawing)
-        ran[case.name] = scene_of(case, result)
+        ran[case.name] = read_scene(case, result)
         failed += [f"{case.name}/{v.name}" for v in result.variants if v.run.get("status") == "failed"]
     own = Path(out) / "reproduction"
     report = make_report(ran, bar, own)

@@ -24,7 +24,7 @@ _ZERO = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Dense:
+class DenseSystem:
     """The free degrees of freedom of a small body as plain matrices (k, k) and vectors (k,)."""
 
     M: Floats
@@ -35,10 +35,10 @@ class Dense:
 
     def restricted(self, blocks: Floats) -> Floats:
         """Return the assembled matrix (k, k) of the cells' matrices (e, 4, 3, 4, 3)."""
-        return assembled(self.problem.body.mesh, blocks)[np.ix_(self.free, self.free)]
+        return assemble_dense(self.problem.body.mesh, blocks)[np.ix_(self.free, self.free)]
 
 
-def assembled(mesh: Mesh, blocks: Floats) -> Floats:
+def assemble_dense(mesh: Mesh, blocks: Floats) -> Floats:
     """Return the whole matrix (n d, n d) of the cells' (e, 4, 3, 4, 3), which as printed are not symmetric."""
     dofs = (3 * mesh.cells[:, :, None] + np.arange(3)).reshape(len(mesh.cells), 12)
     K = np.zeros((mesh.points.size, mesh.points.size))
@@ -46,16 +46,16 @@ def assembled(mesh: Mesh, blocks: Floats) -> Floats:
     return K
 
 
-def dense(problem: Problem) -> Dense:
+def make_dense(problem: Problem) -> DenseSystem:
     """Return the matrices of a problem's free degrees of freedom."""
     body = problem.body
     free = np.repeat(body.free_mask, body.mesh.dimension)
     M = body.pattern.matrix(body.mass).toarray()[np.ix_(free, free)]
     chosen = np.flatnonzero(free).astype(np.int64)
-    return Dense(M, body.load.ravel()[free], problem.start.v.ravel()[free], chosen, problem)
+    return DenseSystem(M, body.load.ravel()[free], problem.start.v.ravel()[free], chosen, problem)
 
 
-def element_numbers(problem: Problem, blocks: Floats) -> dict[str, float]:
+def measure_element(problem: Problem, blocks: Floats) -> dict[str, float]:
     """Return what is to be known of the first cell's K_e: symmetry, kernel, definiteness, forces of rotations."""
     mesh = problem.body.mesh
     K = blocks[0].reshape(12, 12)
@@ -73,7 +73,7 @@ def element_numbers(problem: Problem, blocks: Floats) -> dict[str, float]:
     }
 
 
-def travel(system: Dense, K: Floats, *, corrected: bool) -> float:
+def measure_travel(system: DenseSystem, K: Floats, *, corrected: bool) -> float:
     """Return the largest distance [m] of any node from home within 100 steps of T 4.48."""
     u, v, farthest = np.zeros_like(system.v), system.v, 0.0
     for _ in range(STEPS):
@@ -82,25 +82,25 @@ def travel(system: Dense, K: Floats, *, corrected: bool) -> float:
     return farthest
 
 
-def third_sum(problem: Problem) -> tuple[Numbers, Numbers]:
+def run_third_sum(problem: Problem) -> tuple[Numbers, Numbers]:
     """Return the numbers of T 4.30."""
     make = partial(stiffness_4_30, problem.body.mesh, problem.body.material)
-    return element_numbers(problem, make()), element_numbers(problem, make(corrected=True))
+    return measure_element(problem, make()), measure_element(problem, make(corrected=True))
 
 
-def left_factor(problem: Problem) -> tuple[Numbers, Numbers]:
+def run_left_factor(problem: Problem) -> tuple[Numbers, Numbers]:
     """Return the numbers of T 4.32, with the printed K in a step that is right."""
-    system, found = dense(problem), []
+    system, found = make_dense(problem), []
     for corrected in (False, True):
         blocks = stiffness_4_32(problem.body.mesh, problem.body.material, corrected=corrected)
         K = system.restricted(blocks)
-        found.append(element_numbers(problem, blocks) | {"travel": travel(system, K, corrected=True)})
+        found.append(measure_element(problem, blocks) | {"travel": measure_travel(system, K, corrected=True)})
     return found[0], found[1]
 
 
-def load_sign(problem: Problem) -> tuple[Numbers, Numbers]:
+def run_load_sign(problem: Problem) -> tuple[Numbers, Numbers]:
     """Return the numbers of T 4.48: growth of the first mode a step, farthest travel, and what gravity does."""
-    system, dt = dense(problem), problem.dt
+    system, dt = make_dense(problem), problem.dt
     K = system.restricted(stiffness_4_30(problem.body.mesh, problem.body.material, corrected=True))
     omega, modes = lowest_frequencies(problem.body)
     z = float(omega[0]) * dt
@@ -117,17 +117,17 @@ def load_sign(problem: Problem) -> tuple[Numbers, Numbers]:
         found.append({
             "growth": float(sizes[-1] / sizes[STEPS // 2]) ** (1 / (STEPS - 1 - STEPS // 2)),
             "theory": float(theory[corrected]),
-            "travel": travel(system, K, corrected=corrected),
+            "travel": measure_travel(system, K, corrected=corrected),
             "rise": float(fallen.reshape(-1, 3)[:, 2].mean()),
         })  # fmt: skip
     return found[0], found[1]
 
 
-def rest_force(problem: Problem) -> tuple[Numbers, Numbers]:
+def run_rest_force(problem: Problem) -> tuple[Numbers, Numbers]:
     """Return the numbers of T 6.12 to 6.16: residual at rest without loads, its share of -2 K x, the first step."""
-    system, body = dense(problem), problem.body
+    system, body = make_dense(problem), problem.body
     blocks = stiffness_4_30(body.mesh, body.material, corrected=True)
-    whole = assembled(body.mesh, blocks)
+    whole = assemble_dense(body.mesh, blocks)
     x = body.mesh.points.ravel()
     f_0 = whole @ x
     K, found = system.restricted(blocks), []
@@ -144,14 +144,14 @@ def rest_force(problem: Problem) -> tuple[Numbers, Numbers]:
 
 
 TESTS: Mapping[str, Callable[[Problem], tuple[Numbers, Numbers]]] = {
-    "third_sum": third_sum,
-    "left_factor": left_factor,
-    "load_sign": load_sign,
-    "rest_force": rest_force,
+    "third_sum": run_third_sum,
+    "left_factor": run_left_factor,
+    "load_sign": run_load_sign,
+    "rest_force": run_rest_force,
 }
 
 
-def corrections_run(problem: Problem) -> list[tuple[Correction, str, str]]:
+def run_corrections(problem: Problem) -> list[tuple[Correction, str, str]]:
     """Return every correction with what its printed formula did and what the corrected one did, in words."""
     rows = []
     for row in CORRECTIONS:

@@ -18,7 +18,7 @@ from pipeline.stepping.state import State
 
 
 @dataclass(frozen=True)
-class Mode:
+class DampedMode:
     """A mode: frequency [rad/s], z = omega dt, damping ratio by formula and measured [1]."""
 
     omega: float
@@ -27,16 +27,16 @@ class Mode:
     measured: float
 
 
-def mode_damping(problem: Problem, count: int = 6) -> list[Mode]:
+def measure_damping(problem: Problem, count: int = 6) -> list[DampedMode]:
     """Return the lowest modes of a problem of the linear law; loads and initial state are left aside."""
     omegas, shapes = lowest_frequencies(problem.body, count)
     return [
-        Mode(float(omega), z := float(omega) * problem.dt, damping_ratio(z), _measured(problem, shape))
+        DampedMode(float(omega), z := float(omega) * problem.dt, damping_ratio(z), _measure_ratio(problem, shape))
         for omega, shape in zip(omegas, shapes, strict=True)
     ]
 
 
-def _measured(problem: Problem, shape: np.ndarray) -> float:
+def _measure_ratio(problem: Problem, shape: np.ndarray) -> float:
     """Return the damping ratio of four steps that start displaced along a mode."""
     body = replace(problem.body, load=np.zeros_like(problem.body.load), varying_load=None)
     stepper = make_stepper(body, problem.dt, problem.method)

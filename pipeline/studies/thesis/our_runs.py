@@ -13,7 +13,7 @@ from pipeline.results.variant_run import VariantResult
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """One variant's run: counts, the largest growth over all cells and frames, where and when, and what it cost."""
 
     status: str
@@ -35,30 +35,30 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Scene:
+class ThesisScene:
     """One case: its folder, what its numbers were multiplied by, its outcomes by variant and what there is to say."""
 
     name: str
     folder: Path
     factor: float = 1.0
     factor_of: str = ""
-    outcomes: Mapping[str, Outcome] = field(default_factory=dict)
+    outcomes: Mapping[str, RunOutcome] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 
-def scene_of(case: Case, result: CaseResult) -> Scene:
+def read_scene(case: Case, result: CaseResult) -> ThesisScene:
     """Return what a campaign gave; a variant without a frame is left out, with a note."""
     outcomes, notes = {}, list(result.notes)
     for variant in result.variants:
         if variant.run.get("frames"):
-            outcomes[variant.name] = outcome_of(variant)
+            outcomes[variant.name] = read_outcome(variant)
         if variant.status == "failed" or variant.run.get("status") == "failed":
             notes.append(f"{variant.name} failed: {variant.run.get('message', '')}")
-    factor, factor_of = _factor(case)
-    return Scene(case.name, result.folder, factor, factor_of, outcomes, tuple(notes))
+    factor, factor_of = _find_factor(case)
+    return ThesisScene(case.name, result.folder, factor, factor_of, outcomes, tuple(notes))
 
 
-def _factor(case: Case) -> tuple[float, str]:
+def _find_factor(case: Case) -> tuple[float, str]:
     """Return the factor that a case puts on its initial velocity or its load, and its name; 1 where there is none."""
     if case.initial.factor != 1:
         return case.initial.factor, "initial velocity"
@@ -66,7 +66,7 @@ def _factor(case: Case) -> tuple[float, str]:
     return (b.factor, "body force") if b is not None and b.factor != 1 else (1.0, "")
 
 
-def outcome_of(variant: VariantResult) -> Outcome:
+def read_outcome(variant: VariantResult) -> RunOutcome:
     """Return the outcome of a recorded variant, from its statistics.nc and its run.json."""
     dataset = read_dataset(variant.folder / "statistics.nc")
     run = variant.run
@@ -77,7 +77,7 @@ def outcome_of(variant: VariantResult) -> Outcome:
     kinetic = dataset["kinetic_energy"].values
     dt = float(run["case"]["schedule"]["dt"])
     largest = int(volumes.argmax()) % rest.size
-    return Outcome(
+    return RunOutcome(
         status=run["status"],
         folder=variant.folder,
         nodes=run["nodes"],

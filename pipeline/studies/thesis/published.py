@@ -9,7 +9,7 @@ VOLUME_TOLERANCE = 0.01  # of the published volume: the thesis prints three to f
 
 
 @dataclass(frozen=True)
-class Number:
+class PublishedNumber:
     """A published number; `quantity` names what of `measured.Outcome` it is, `less` a scene to subtract that of."""
 
     what: str
@@ -80,43 +80,46 @@ COUNTED = ("nodes", "cells", "iteration")  # quantities that are counts
 THESIS_METHOD = "gram_schmidt"  # T 6.11; one solve a step
 
 
-def _volume(what: str, printed: str, source: str, scene: str, variant: str, **more: str) -> Number:
+def _make_volume(what: str, printed: str, source: str, scene: str, variant: str, **more: str) -> PublishedNumber:
     value = float(printed)
     quantity = more.pop("quantity", "largest_volume")
-    return Number(what, printed, value, VOLUME_TOLERANCE * value, source, scene, variant, quantity, **more)
+    return PublishedNumber(what, printed, value, VOLUME_TOLERANCE * value, source, scene, variant, quantity, **more)
 
 
-def _count(scene: str, what: str, quantity: str, value: int, source: str) -> Number:
-    return Number(f"{scene}: {what}", f"{value}", value, 0.0, source, scene, "linear", quantity)
+def _make_count(scene: str, what: str, quantity: str, value: int, source: str) -> PublishedNumber:
+    return PublishedNumber(f"{scene}: {what}", f"{value}", value, 0.0, source, scene, "linear", quantity)
 
 
-NUMBERS: tuple[Number, ...] = (
-    _count("bar", "nodes", "nodes", 81, "T 5.1"),
-    _count("bar", "tetrahedra", "cells", 192, "T 5.1"),
-    _volume("bar: volume of every tetrahedron [m3]", "1", "T 5.1.2", "bar", "linear", quantity="its_rest_volume"),
-    _volume("bar, f = 20, linear: largest volume [m3]", "1.270", "T 7.1.2, 2.024 - 0.754", "bar_small", "linear"),
-    _volume("bar, f = 40, linear: largest volume [m3]", "2.0245", "T 5.1.2", "bar", "linear",
-            remark="the factor was fitted to this number"),
-    _volume("bar, linear: f = 40 less f = 20 [m3]", "0.754", "T 7.1.2", "bar", "linear", less="bar_small"),
-    _volume("bar, f = 20, corotational: largest volume [m3]", "1.27", "T 7.1.2, 1.45 - 0.18", "bar_small",
-            THESIS_METHOD, remark="1.27 is the linear value; 0.18 may be a misprint of 0.28, which would give 1.17"),
-    _volume("bar, f = 40, corotational: largest volume [m3]", "1.45", "T 7.1.2", "bar", THESIS_METHOD,
-            remark="with the factor it falls in the first step, whose rotations are those of rest: it tests none"),
-    _volume("bar, corotational: f = 40 less f = 20 [m3]", "0.18", "T 7.1.2", "bar", THESIS_METHOD, less="bar_small",
-            remark="it may be a misprint of 0.28"),
-    _count("mushroom", "nodes", "nodes", 219, "T 5.2"),
-    _count("mushroom", "tetrahedra", "cells", 656, "T 5.2"),
-    _volume("mushroom, linear: largest volume ratio", "2.25", "T 5.2", "mushroom", "linear", quantity="largest_ratio",
-            remark="the factor was fitted to this number"),
-    Number("mushroom, linear: iteration of it", "the last (100)", 100, 1, "T 5.2", "mushroom", "linear", "iteration"),
-    _count("armadillo", "nodes", "nodes", 285, "T 5.3"),
-    _count("armadillo", "tetrahedra", "cells", 787, "T 5.3"),
-    _volume("armadillo, linear: largest volume ratio", "6.335", "T 5.3", "armadillo", "linear",
-            quantity="largest_ratio", remark="the factor was fitted to this number"),
-    _volume("armadillo, linear: largest volume [m3]", "3.45e4", "T 5.3", "armadillo", "linear"),
-    _volume("armadillo: volume of that tetrahedron at rest [m3]", "5446", "T 5.3, 3.45e4 / 6.335", "armadillo",
-            "linear", quantity="largest_rest_volume", remark="the scale 8.98 of our mesh was chosen for it"),
-    Number("armadillo, linear: iteration of the largest", "26", 26, 1, "T 5.3", "armadillo", "linear", "iteration"),
+NUMBERS: tuple[PublishedNumber, ...] = (
+    _make_count("bar", "nodes", "nodes", 81, "T 5.1"),
+    _make_count("bar", "tetrahedra", "cells", 192, "T 5.1"),
+    _make_volume("bar: volume of every tetrahedron [m3]", "1", "T 5.1.2", "bar", "linear", quantity="its_rest_volume"),
+    _make_volume("bar, f = 20, linear: largest volume [m3]", "1.270", "T 7.1.2, 2.024 - 0.754", "bar_small", "linear"),
+    _make_volume("bar, f = 40, linear: largest volume [m3]", "2.0245", "T 5.1.2", "bar", "linear",
+                 remark="the factor was fitted to this number"),
+    _make_volume("bar, linear: f = 40 less f = 20 [m3]", "0.754", "T 7.1.2", "bar", "linear", less="bar_small"),
+    _make_volume("bar, f = 20, corotational: largest volume [m3]", "1.27", "T 7.1.2, 1.45 - 0.18", "bar_small",
+                 THESIS_METHOD,
+                 remark="1.27 is the linear value; 0.18 may be a misprint of 0.28, which would give 1.17"),
+    _make_volume("bar, f = 40, corotational: largest volume [m3]", "1.45", "T 7.1.2", "bar", THESIS_METHOD,
+                 remark="with the factor it falls in the first step, whose rotations are those of rest: it tests none"),
+    _make_volume("bar, corotational: f = 40 less f = 20 [m3]", "0.18", "T 7.1.2", "bar", THESIS_METHOD,
+                 less="bar_small", remark="it may be a misprint of 0.28"),
+    _make_count("mushroom", "nodes", "nodes", 219, "T 5.2"),
+    _make_count("mushroom", "tetrahedra", "cells", 656, "T 5.2"),
+    _make_volume("mushroom, linear: largest volume ratio", "2.25", "T 5.2", "mushroom", "linear",
+                 quantity="largest_ratio", remark="the factor was fitted to this number"),
+    PublishedNumber("mushroom, linear: iteration of it", "the last (100)", 100, 1, "T 5.2", "mushroom",
+                    "linear", "iteration"),
+    _make_count("armadillo", "nodes", "nodes", 285, "T 5.3"),
+    _make_count("armadillo", "tetrahedra", "cells", 787, "T 5.3"),
+    _make_volume("armadillo, linear: largest volume ratio", "6.335", "T 5.3", "armadillo", "linear",
+                 quantity="largest_ratio", remark="the factor was fitted to this number"),
+    _make_volume("armadillo, linear: largest volume [m3]", "3.45e4", "T 5.3", "armadillo", "linear"),
+    _make_volume("armadillo: volume of that tetrahedron at rest [m3]", "5446", "T 5.3, 3.45e4 / 6.335", "armadillo",
+                 "linear", quantity="largest_rest_volume", remark="the scale 8.98 of our mesh was chosen for it"),
+    PublishedNumber("armadillo, linear: iteration of the largest", "26", 26, 1, "T 5.3", "armadillo", "linear",
+                    "iteration"),
 )  # fmt: skip
 
 STATEMENTS: tuple[Statement, ...] = (

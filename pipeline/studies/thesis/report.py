@@ -10,11 +10,10 @@ from pipeline.errors import OutputError
 from pipeline.problem.problem import Problem
 from pipeline.series import Series, read_series
 from pipeline.studies.thesis import verbal_claims as statements
-from pipeline.studies.thesis.corrections import corrections_run
-from pipeline.studies.thesis.damping import mode_damping
-from pipeline.studies.thesis.figures import law_figure, states_figure
-from pipeline.studies.thesis.law import Growth, band, linear_growth, step_growth
-from pipeline.studies.thesis.our_runs import Outcome, Scene
+from pipeline.studies.thesis.corrections import run_corrections
+from pipeline.studies.thesis.damping import measure_damping
+from pipeline.studies.thesis.growth_law import Growth, make_band, read_linear_growth, read_step_growth
+from pipeline.studies.thesis.our_runs import RunOutcome, ThesisScene
 from pipeline.studies.thesis.published import (
     AS_PRINTED,
     FIGURES,
@@ -26,7 +25,15 @@ from pipeline.studies.thesis.published import (
     FigureSet,
     Timing,
 )
-from pipeline.studies.thesis.verdicts import NOT_REPRODUCED, OTHER_HARDWARE, REPRODUCED, Finding, find, outcome
+from pipeline.studies.thesis.report_figures import write_law_figure, write_states_figure
+from pipeline.studies.thesis.verdicts import (
+    NOT_REPRODUCED,
+    OTHER_HARDWARE,
+    REPRODUCED,
+    Finding,
+    find_outcome,
+    judge_number,
+)
 from pipeline.system.version import VERSION
 from pipeline.views.html.blocks import Block, Heading, Paragraph, Picture, TableBlock
 
@@ -43,10 +50,10 @@ class Report:
 
     def count(self, kind: str) -> int:
         """Return how many verdicts are of a kind: one of KINDS."""
-        return sum(kind_of(verdict) == kind for _, verdict in self.verdicts)
+        return sum(find_kind(verdict) == kind for _, verdict in self.verdicts)
 
 
-def kind_of(verdict: str) -> str:
+def find_kind(verdict: str) -> str:
     """Return the kind of a verdict, without its reason."""
     for kind in (NOT_REPRODUCED, OTHER_HARDWARE):
         if verdict.startswith(kind):
@@ -57,38 +64,39 @@ def kind_of(verdict: str) -> str:
 KINDS = (REPRODUCED, f"{REPRODUCED} with factor", NOT_REPRODUCED, OTHER_HARDWARE)
 
 
-def make_report(scenes: Mapping[str, Scene], bar: Problem, folder: Path) -> Report:
+def make_report(scenes: Mapping[str, ThesisScene], bar: Problem, folder: Path) -> Report:
     """Return the report of the scenes that ran; `bar` is the linear bar of f = 20 as printed.
 
     Its own pictures go to a folder. Raises PipelineError where recorded frames cannot be read.
     """
     notes: list[str] = []
-    findings = [find(number, scenes) for number in NUMBERS]
+    findings = [judge_number(number, scenes) for number in NUMBERS]
     tested = [(statement, *statements.TESTS[statement.test](scenes)) for statement in STATEMENTS]
     timed = [
-        (timing, *_timed(timing, outcome(scenes, timing.scene + AS_PRINTED, timing.variant))) for timing in TIMINGS
+        (timing, *_compare_times(timing, find_outcome(scenes, timing.scene + AS_PRINTED, timing.variant)))
+        for timing in TIMINGS
     ]
     verdicts = [(f.number.what, f.verdict) for f in findings]
     verdicts += [(statement.says, verdict) for statement, _, verdict in tested]
     verdicts += [(f"{t.model}, {t.variant}: seconds a step", row[-1]) for t, row, _ in timed]
     report = Report([], verdicts, notes)
     report.blocks[:] = [
-        *_opening(report, scenes),
-        *_numbers(findings),
+        *_make_opening(report, scenes),
+        *_make_numbers(findings),
         Heading("What the thesis says in words"),
         TableBlock(("statement", "where", "found", "verdict"), [(s.says, s.source, f, v) for s, f, v in tested]),
-        *_times([row for _, row, _ in timed]),
-        *_variants(scenes),
-        *_figures(scenes, folder, notes),
-        *_law(scenes, folder),
-        *_damping(bar),
-        *_corrections(bar),
-        *_notes(scenes, notes),
+        *_make_times([row for _, row, _ in timed]),
+        *_make_variants(scenes),
+        *_make_figures(scenes, folder, notes),
+        *_make_law(scenes, folder),
+        *_make_damping(bar),
+        *_make_corrections(bar),
+        *_make_notes(scenes, notes),
     ]
     return report
 
 
-def _opening(report: Report, scenes: Mapping[str, Scene]) -> list[Block]:
+def _make_opening(report: Report, scenes: Mapping[str, ThesisScene]) -> list[Block]:
     factors = [f"{s.name}: {s.factor_of} × {s.factor:g}" for s in scenes.values() if s.factor_of]
     rows = [(kind, f"{report.count(kind)}") for kind in KINDS]
     return [
@@ -111,9 +119,16 @@ def _opening(report: Report, scenes: Mapping[str, Scene]) -> list[Block]:
     ]
 
 
-def _numbers(findings: Sequence[Finding]) -> list[Block]:
+def _make_numbers(findings: Sequence[Finding]) -> list[Block]:
     rows = [
-        (f.number.what, f.number.printed, f.number.source, _shown(f.as_printed), _shown(f.calibrated), f.verdict)
+        (
+            f.number.what,
+            f.number.printed,
+            f.number.source,
+            _format_value(f.as_printed),
+            _format_value(f.calibrated),
+            f.verdict,
+        )
         for f in findings
     ]
     return [
@@ -127,11 +142,11 @@ def _numbers(findings: Sequence[Finding]) -> list[Block]:
     ]
 
 
-def _shown(value: float | None) -> str:
+def _format_value(value: float | None) -> str:
     return "-" if value is None else f"{value:.5g}"
 
 
-def _timed(timing: Timing, ours: Outcome | None) -> tuple[tuple[str, ...], float]:
+def _compare_times(timing: Timing, ours: RunOutcome | None) -> tuple[tuple[str, ...], float]:
     """Return the row of a published time, and how many times as fast ours was."""
     dt = ours.dt if ours is not None else float("nan")
     published = (f"{1e3 * timing.seconds:.4g}", f"{timing.images}", f"{dt / timing.seconds:.3g}" if ours else "-")
@@ -144,7 +159,7 @@ def _timed(timing: Timing, ours: Outcome | None) -> tuple[tuple[str, ...], float
     return (*head, f"{1e3 * s:.3g}", f"{1 / s:.0f}", f"{dt / s:.3g}", verdict), times
 
 
-def _times(rows: Sequence[Sequence[str]]) -> list[Block]:
+def _make_times(rows: Sequence[Sequence[str]]) -> list[Block]:
     head = (
         "model", "method", "nodes", "tets", "T: ms a step", "T: images/s", "T: real-time factor",
         "ours: ms a step", "ours: images/s", "ours: real-time factor", "verdict",
@@ -154,8 +169,8 @@ def _times(rows: Sequence[Sequence[str]]) -> list[Block]:
         Heading("Times a step: tables 7.1 and 7.2"),
         Paragraph(
             "Times are of the machine and the program that made them. The thesis used MATLAB on hardware that it does "
-            f"not name; ours ran on this machine ({platform.system()} {platform.machine()}, {_processor()}), compiled "
-            "libraries under Python, solving alone: neither measuring nor writing, "
+            f"not name; ours ran on this machine ({platform.system()} {platform.machine()}, {_read_processor()}), "
+            "compiled libraries under Python, solving alone: neither measuring nor writing, "
             f"OMP_NUM_THREADS = {os.environ.get('OMP_NUM_THREADS', 'not set')}. A real-time factor is Δt over the "
             "time of a step: above 1 the motion is computed faster than it happens. The counts are the same, the "
             "meshes of mushroom and armadillo are ours."
@@ -165,7 +180,7 @@ def _times(rows: Sequence[Sequence[str]]) -> list[Block]:
     ]
 
 
-def _processor() -> str:
+def _read_processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -173,7 +188,7 @@ def _processor() -> str:
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "not named")
 
 
-def _variants(scenes: Mapping[str, Scene]) -> list[Block]:
+def _make_variants(scenes: Mapping[str, ThesisScene]) -> list[Block]:
     rows = [
         (
             scene.name, name, one.status, f"{one.largest_ratio:.4f}", f"{one.iteration}", f"{one.cell}",
@@ -189,7 +204,7 @@ def _variants(scenes: Mapping[str, Scene]) -> list[Block]:
     return [Heading("Every scene and variant"), TableBlock(head, rows, "Extremes over all cells and recorded frames")]
 
 
-def _figures(scenes: Mapping[str, Scene], folder: Path, notes: list[str]) -> list[Block]:
+def _make_figures(scenes: Mapping[str, ThesisScene], folder: Path, notes: list[str]) -> list[Block]:
     blocks: list[Block] = [
         Heading("Figures"),
         Paragraph(
@@ -198,14 +213,16 @@ def _figures(scenes: Mapping[str, Scene], folder: Path, notes: list[str]) -> lis
         ),
     ]
     for figures in FIGURES:
-        blocks += _figure_set(figures, scenes, folder, notes)
+        blocks += _make_figure_set(figures, scenes, folder, notes)
     if PLANAR_SCENE in scenes:
         blocks.append(Heading("Web page: cantilever of triangles", 3))
-        blocks += _pictures(scenes[PLANAR_SCENE], "W shows an interactive cantilever; parameters are ours.")
+        blocks += _list_pictures(scenes[PLANAR_SCENE], "W shows an interactive cantilever; parameters are ours.")
     return blocks
 
 
-def _figure_set(figures: FigureSet, scenes: Mapping[str, Scene], folder: Path, notes: list[str]) -> list[Block]:
+def _make_figure_set(
+    figures: FigureSet, scenes: Mapping[str, ThesisScene], folder: Path, notes: list[str]
+) -> list[Block]:
     blocks: list[Block] = [Heading(f"{figures.title}: figures {figures.figures}", 3)]
     for name, how in ((figures.scene + AS_PRINTED, "as printed"), (figures.scene, "with factor")):
         if name not in scenes:
@@ -213,12 +230,12 @@ def _figure_set(figures: FigureSet, scenes: Mapping[str, Scene], folder: Path, n
             continue
         scene = scenes[name]
         text = f"{how} {scene.factor:g} on the {scene.factor_of}" if scene.factor_of else how
-        blocks += _pictures(scene, f"{figures.title}, {text}.")
+        blocks += _list_pictures(scene, f"{figures.title}, {text}.")
         usable = {v: i for v, i in figures.states.items() if v in scene.outcomes}
         if how == "with factor" and usable:
             path = folder / f"states_{name}.png"
             try:
-                states_figure({v: read_series(scene.outcomes[v].folder) for v in usable}, usable, path)
+                write_states_figure({v: read_series(scene.outcomes[v].folder) for v in usable}, usable, path)
                 blocks.append(
                     Picture(
                         path,
@@ -230,7 +247,7 @@ def _figure_set(figures: FigureSet, scenes: Mapping[str, Scene], folder: Path, n
     return blocks
 
 
-def _pictures(scene: Scene, text: str) -> list[Block]:
+def _list_pictures(scene: ThesisScene, text: str) -> list[Block]:
     """Return the pictures that a scene's campaign drew."""
     kinds = {"volume.png": "Volume ratio of every cell over time", "comparison.png": "The moment of largest deviation"}
     return [
@@ -240,7 +257,7 @@ def _pictures(scene: Scene, text: str) -> list[Block]:
     ]
 
 
-def _law(scenes: Mapping[str, Scene], folder: Path) -> list[Block]:
+def _make_law(scenes: Mapping[str, ThesisScene], folder: Path) -> list[Block]:
     blocks: list[Block] = [
         Heading("The law of spurious volume"),
         Paragraph(
@@ -251,30 +268,32 @@ def _law(scenes: Mapping[str, Scene], folder: Path) -> list[Block]:
         ),
     ]
     kinds: tuple[tuple[str, str, Callable[[Series], Growth], float, str], ...] = (
-        ("linear", "growth_linear.png", linear_growth, LINEAR_ABOVE, "rotation angle of a cell"),
-        ("polar", "growth_one_solve.png", step_growth, STEP_ABOVE, "rotation of a cell in one step"),
+        ("linear", "growth_linear.png", read_linear_growth, LINEAR_ABOVE, "rotation angle of a cell"),
+        ("polar", "growth_one_solve.png", read_step_growth, STEP_ABOVE, "rotation of a cell in one step"),
     )
     for variant, file, measured, above, across in kinds:
-        growths = _growths(scenes, variant, measured)
+        growths = _read_growths(scenes, variant, measured)
         if not growths:
             blocks.append(Paragraph(f"No scene with the variant `{variant}` was run."))
             continue
-        law_figure(growths, folder / file, across=across)
+        write_law_figure(growths, folder / file, across=across)
         blocks.append(Picture(folder / file, f"`{variant}`: growth against the {across}; all cells, all frames."))
-        blocks.append(_bands(growths, variant, above, across))
+        blocks.append(_make_bands(growths, variant, above, across))
     return blocks
 
 
-def _growths(scenes: Mapping[str, Scene], variant: str, measured: Callable[[Series], Growth]) -> dict[str, Growth]:
+def _read_growths(
+    scenes: Mapping[str, ThesisScene], variant: str, measured: Callable[[Series], Growth]
+) -> dict[str, Growth]:
     names = [name + ending for ending in (AS_PRINTED, "") for name in SCENES]
-    runs = {name: outcome(scenes, name, variant) for name in names}
+    runs = {name: find_outcome(scenes, name, variant) for name in names}
     return {name: measured(read_series(run.folder)) for name, run in runs.items() if run is not None}
 
 
-def _bands(growths: Mapping[str, Growth], variant: str, above: float, across: str) -> TableBlock:
+def _make_bands(growths: Mapping[str, Growth], variant: str, above: float, across: str) -> TableBlock:
     rows = []
     for name, growth in growths.items():
-        found = band(growth, above)
+        found = make_band(growth, above)
         if found is None:
             largest = f"{growth.largest_degrees:.3g}"
             rows.append((name, "0", "-", "-", "-", largest, "-", f"nothing turns by {above:g} degrees"))
@@ -286,10 +305,10 @@ def _bands(growths: Mapping[str, Growth], variant: str, above: float, across: st
     return TableBlock(head, rows, f"`{variant}`: V/V₀ over sec² of the {across}, where that is above {above:g} degrees")
 
 
-def _damping(bar: Problem) -> list[Block]:
+def _make_damping(bar: Problem) -> list[Block]:
     rows = [
         (f"{i}", f"{m.omega:.4g}", f"{m.z:.4f}", f"{100 * m.formula:.4f} %", f"{100 * m.measured:.4f} %")
-        for i, m in enumerate(mode_damping(bar), start=1)
+        for i, m in enumerate(measure_damping(bar), start=1)
     ]
     return [
         Heading("Damping"),
@@ -304,8 +323,8 @@ def _damping(bar: Problem) -> list[Block]:
     ]
 
 
-def _corrections(bar: Problem) -> list[Block]:
-    rows = [(c.where, c.printed, c.correct, fails, holds) for c, fails, holds in corrections_run(bar)]
+def _make_corrections(bar: Problem) -> list[Block]:
+    rows = [(c.where, c.printed, c.correct, fails, holds) for c, fails, holds in run_corrections(bar)]
     return [
         Heading("Corrections to the seeds"),
         Paragraph(
@@ -316,7 +335,7 @@ def _corrections(bar: Problem) -> list[Block]:
     ]
 
 
-def _notes(scenes: Mapping[str, Scene], notes: Sequence[str]) -> list[Block]:
+def _make_notes(scenes: Mapping[str, ThesisScene], notes: Sequence[str]) -> list[Block]:
     said = [f"{scene.name}: {note}" for scene in scenes.values() for note in scene.notes] + list(notes)
     blocks: list[Block] = [Heading("Made by"), Paragraph(f"`pipeline reproduce`, version {VERSION}.")]
     return blocks + ([TableBlock(("note",), [(note,) for note in dict.fromkeys(said)])] if said else [])

@@ -17,11 +17,11 @@ from pipeline.problem.stage_solvers import make_stage_solver
 from pipeline.series import read_series
 from pipeline.stepping.backward_euler import BackwardEuler
 from pipeline.stepping.state import State
-from pipeline.studies.thesis.our_runs import Outcome, Scene
+from pipeline.studies.thesis.our_runs import RunOutcome, ThesisScene
 from pipeline.studies.thesis.published import AS_PRINTED, THESIS_METHOD
-from pipeline.studies.thesis.verdicts import NOT_REPRODUCED, OTHER_HARDWARE, REPRODUCED, outcome
+from pipeline.studies.thesis.verdicts import NOT_REPRODUCED, OTHER_HARDWARE, REPRODUCED, find_outcome
 
-Scenes = Mapping[str, Scene]
+Scenes = Mapping[str, ThesisScene]
 Tested = tuple[str, str]  # what was found, and the verdict
 
 SIMILAR = 0.10  # “very similar”: growths that differ by less than this part of the larger
@@ -32,14 +32,14 @@ ROUNDING = 1e-6  # of the energy of a spin that the linear law leaves exactly as
 STOPPED = 0.01  # “stops”: kinetic energy below this part of its largest
 
 
-def _paired(
+def _compare_pairs(
     scenes: Scenes, needs: tuple[tuple[str, str], ...], holds: Callable[..., bool], text: Callable[..., str],
     reason: str,
 ) -> Tested:  # fmt: skip
     """Return what holds of the outcomes of (scene, variant) pairs, as printed and with the factor, else the reason."""
     findings, kept = [], []
     for ending, how in ((AS_PRINTED, "as printed"), ("", "with factor")):
-        found = [outcome(scenes, scene + ending, variant) for scene, variant in needs]
+        found = [find_outcome(scenes, scene + ending, variant) for scene, variant in needs]
         if all(one is not None for one in found):
             findings.append(f"{how}: {text(*found)}")
             kept.append((holds(*found), how))
@@ -52,33 +52,34 @@ def _paired(
     return "; ".join(findings), f"{NOT_REPRODUCED}: {reason}"
 
 
-def _growths(*outcomes: Outcome) -> str:
+def _format_growths(*outcomes: RunOutcome) -> str:
     return "growth " + " and ".join(f"{one.largest_ratio - 1:.3g} ({one.folder.name})" for one in outcomes)
 
 
-def _both(scene: str) -> tuple[tuple[str, str], ...]:
+def _list_pair(scene: str) -> tuple[tuple[str, str], ...]:
     return (scene, "linear"), (scene, THESIS_METHOD)
 
 
-def _smaller(part: float) -> Callable[[Outcome, Outcome], bool]:
+def _make_smaller_test(part: float) -> Callable[[RunOutcome, RunOutcome], bool]:
     return lambda linear, other: other.largest_ratio - 1 < part * (linear.largest_ratio - 1)
 
 
 def small_bar_alike(scenes: Scenes) -> Tested:
     """Return whether the largest growths of f = 20 differ by less than 10 %."""
-    return _paired(scenes, _both("bar_small"), lambda a, b: not _smaller(1 - SIMILAR)(a, b), _growths,
-                   f"they differ by more than {SIMILAR:.0%}")  # fmt: skip
+    is_smaller = _make_smaller_test(1 - SIMILAR)
+    return _compare_pairs(scenes, _list_pair("bar_small"), lambda a, b: not is_smaller(a, b), _format_growths,
+                          f"they differ by more than {SIMILAR:.0%}")  # fmt: skip
 
 
 def bar_grows_less(scenes: Scenes) -> Tested:
     """Return whether the linear bar grows more."""
-    return _paired(scenes, _both("bar"), _smaller(1.0), _growths, "it does not")
+    return _compare_pairs(scenes, _list_pair("bar"), _make_smaller_test(1.0), _format_growths, "it does not")
 
 
 def same_cell(scenes: Scenes) -> Tested:
     """Return whether the largest growth of both methods is in one cell."""
-    return _paired(
-        scenes, _both("bar"), lambda a, b: a.cell == b.cell, lambda a, b: f"cells {a.cell} and {b.cell}",
+    return _compare_pairs(
+        scenes, _list_pair("bar"), lambda a, b: a.cell == b.cell, lambda a, b: f"cells {a.cell} and {b.cell}",
         "other cells (the thesis does not say how it splits the bar)",
     )  # fmt: skip
 
@@ -86,19 +87,19 @@ def same_cell(scenes: Scenes) -> Tested:
 def free_end(scenes: Scenes) -> Tested:
     """Return whether the cell that grows most lies in the last layer of cells at y = 0."""
 
-    def farthest(linear: Outcome) -> float:
+    def farthest(linear: RunOutcome) -> float:
         mesh = read_series(linear.folder).mesh
         return float(mesh.points[mesh.cells[linear.cell], 1].max())
 
     text = "the cell lies at y ≤ {:g} of 0…12 m"
     # 1.5 m is one layer of cells
-    return _paired(scenes, (("bar", "linear"),), lambda a: farthest(a) <= 1.5,
+    return _compare_pairs(scenes, (("bar", "linear"),), lambda a: farthest(a) <= 1.5,
                    lambda a: text.format(farthest(a)), "the cell that grows most is not in the last layer")  # fmt: skip
 
 
 def first_iterations(scenes: Scenes) -> Tested:
     """Return whether the largest growth falls in the first ten iterations."""
-    return _paired(
+    return _compare_pairs(
         scenes, (("bar", "linear"),), lambda a: a.iteration <= FIRST, lambda a: f"iteration {a.iteration}",
         f"later than iteration {FIRST}",
     )  # fmt: skip
@@ -106,7 +107,7 @@ def first_iterations(scenes: Scenes) -> Tested:
 
 def bar_stops(scenes: Scenes) -> Tested:
     """Return whether the bar's kinetic energy falls below 1 % of its largest within the run."""
-    found, verdict = _paired(
+    found, verdict = _compare_pairs(
         scenes, (("bar_small", "linear"),), lambda a: a.kinetic_kept < STOPPED,
         lambda a: f"{a.kinetic_kept:.1e} of the kinetic energy is left", "it still moves",
     )  # fmt: skip
@@ -115,19 +116,19 @@ def bar_stops(scenes: Scenes) -> Tested:
 
 def mushroom_infinitesimal(scenes: Scenes) -> Tested:
     """Return whether the corotational growth is below 1 % of the linear one."""
-    return _paired(scenes, _both("mushroom"), _smaller(INFINITESIMAL), _growths,
+    return _compare_pairs(scenes, _list_pair("mushroom"), _make_smaller_test(INFINITESIMAL), _format_growths,
                    f"smaller, but above {INFINITESIMAL:.0%} of the linear growth")  # fmt: skip
 
 
 def armadillo_small(scenes: Scenes) -> Tested:
     """Return whether the corotational growth is below 10 % of the linear one."""
-    return _paired(scenes, _both("armadillo"), _smaller(SMALL), _growths,
+    return _compare_pairs(scenes, _list_pair("armadillo"), _make_smaller_test(SMALL), _format_growths,
                    f"above {SMALL:.0%} of the linear growth")  # fmt: skip
 
 
 def unconditionally_stable(scenes: Scenes) -> Tested:
     """Return what 100 steps of .5 s make of a free 2 x 24 x 4 m bar in spin, 10 rad/s about x, y and z."""
-    worst = _worst_spins()
+    worst = _find_worst_spins()
     found = "; ".join(f"{name} × {energy:.2g} about {axis}" for name, (energy, axis) in worst.items())
     text = f"kinetic energy of a free bar spun at 10 rad/s, Δt = 0.5 s, after 100 steps, about its worst axis: {found}"
     unstable = [name for name, (energy, _) in worst.items() if energy > 1 + ROUNDING]
@@ -135,7 +136,7 @@ def unconditionally_stable(scenes: Scenes) -> Tested:
 
 
 @cache
-def _worst_spins() -> dict[str, tuple[float, str]]:
+def _find_worst_spins() -> dict[str, tuple[float, str]]:
     """Return, by method, the largest growth of kinetic energy over the three axes, and its axis."""
     methods = {
         "one polar solve a step": MethodSpec(),
@@ -144,12 +145,12 @@ def _worst_spins() -> dict[str, tuple[float, str]]:
     }
     axes = list(zip("xyz", np.eye(3), strict=True))
     return {
-        name: max((spin_energy_growth(direction, method), axis) for axis, direction in axes)
+        name: max((measure_spin_energy_growth(direction, method), axis) for axis, direction in axes)
         for name, method in methods.items()
     }
 
 
-def spin_energy_growth(axis: np.ndarray, method: MethodSpec, steps: int = 100) -> float:
+def measure_spin_energy_growth(axis: np.ndarray, method: MethodSpec, steps: int = 100) -> float:
     """Return the kinetic energy after the steps over that at the start; infinity where a step fails."""
     mesh = box((2.0, 24.0, 4.0), (2, 8, 2))
     law = LAWS[method.law].make(Material(1e8, 0.33, 1000.0), ROTATIONS[method.rotation].make)
@@ -168,10 +169,10 @@ def spin_energy_growth(axis: np.ndarray, method: MethodSpec, steps: int = 100) -
     return end / float((v * body.momentum(v)).sum())
 
 
-def _real_time(scenes: Scenes, variant: str, expected: bool) -> Tested:
+def _judge_real_time(scenes: Scenes, variant: str, expected: bool) -> Tested:
     factors = {}
     for scene in ("bar", "mushroom", "armadillo"):
-        run = outcome(scenes, scene + AS_PRINTED, variant)
+        run = find_outcome(scenes, scene + AS_PRINTED, variant)
         if run is not None:
             factors[scene] = run.dt / run.seconds_per_step
     if not factors:
@@ -183,12 +184,12 @@ def _real_time(scenes: Scenes, variant: str, expected: bool) -> Tested:
 
 def linear_real_time(scenes: Scenes) -> Tested:
     """Return whether every linear scene is solved faster than it moves."""
-    return _real_time(scenes, "linear", True)
+    return _judge_real_time(scenes, "linear", True)
 
 
 def corotational_real_time(scenes: Scenes) -> Tested:
     """Return whether every corotational scene is solved slower than it moves, as the thesis found."""
-    return _real_time(scenes, THESIS_METHOD, False)
+    return _judge_real_time(scenes, THESIS_METHOD, False)
 
 
 TESTS: Mapping[str, Callable[[Scenes], Tested]] = {

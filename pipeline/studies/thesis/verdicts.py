@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from pipeline.studies.thesis.our_runs import Outcome, Scene
-from pipeline.studies.thesis.published import AS_PRINTED, COUNTED, Number
+from pipeline.studies.thesis.our_runs import RunOutcome, ThesisScene
+from pipeline.studies.thesis.published import AS_PRINTED, COUNTED, PublishedNumber
 
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
 OTHER_HARDWARE = "other hardware"  # of what depends on the speed of a machine: neither of the two
@@ -14,13 +14,13 @@ OTHER_HARDWARE = "other hardware"  # of what depends on the speed of a machine: 
 class Finding:
     """A published number with ours, as printed and with the factor (None: not run), and the verdict."""
 
-    number: Number
+    number: PublishedNumber
     as_printed: float | None
     calibrated: float | None
     verdict: str
 
 
-def judge(number: Number, as_printed: float | None, calibrated: float | None, factor: float) -> str:
+def judge(number: PublishedNumber, as_printed: float | None, calibrated: float | None, factor: float) -> str:
     """Return the verdict, with the remark: as printed comes first, and what is neither carries its deviations."""
     remark = f" ({number.remark})" if number.remark else ""
     if as_printed is not None and abs(as_printed - number.value) <= number.tolerance:
@@ -28,36 +28,36 @@ def judge(number: Number, as_printed: float | None, calibrated: float | None, fa
     if calibrated is not None and abs(calibrated - number.value) <= number.tolerance:
         return f"{REPRODUCED} with factor {factor:g}{remark}"
     found = [(as_printed, "as printed"), (calibrated, f"with factor {factor:g}")]
-    parts = [f"{_deviation(value, number)} {how}" for value, how in found if value is not None]
+    parts = [f"{_format_deviation(value, number)} {how}" for value, how in found if value is not None]
     return f"{NOT_REPRODUCED}: {', '.join(parts) or 'not run'}{remark}"
 
 
-def _deviation(value: float, number: Number) -> str:
+def _format_deviation(value: float, number: PublishedNumber) -> str:
     """Return how far off a value is: in per cent of a volume, as it is for a count or an iteration."""
     if number.quantity in COUNTED:
         return f"{value:.0f}"
     return f"{100 * (value / number.value - 1):+.1f} %"
 
 
-def find(number: Number, scenes: Mapping[str, Scene]) -> Finding:
+def judge_number(number: PublishedNumber, scenes: Mapping[str, ThesisScene]) -> Finding:
     """Return what the runs say about a published number."""
-    values = [_value(number, scenes, ending) for ending in (AS_PRINTED, "")]
+    values = [_find_value(number, scenes, ending) for ending in (AS_PRINTED, "")]
     factor = scenes[number.scene].factor if number.scene in scenes else 1.0
     return Finding(number, values[0], values[1], judge(number, values[0], values[1], factor))
 
 
-def _value(number: Number, scenes: Mapping[str, Scene], ending: str) -> float | None:
-    minuend = outcome(scenes, number.scene + ending, number.variant)
+def _find_value(number: PublishedNumber, scenes: Mapping[str, ThesisScene], ending: str) -> float | None:
+    minuend = find_outcome(scenes, number.scene + ending, number.variant)
     if minuend is None:
         return None
     value = float(getattr(minuend, number.quantity))
     if not number.less:
         return value
-    subtrahend = outcome(scenes, number.less + ending, number.variant)
+    subtrahend = find_outcome(scenes, number.less + ending, number.variant)
     return None if subtrahend is None else value - float(getattr(subtrahend, number.quantity))
 
 
-def outcome(scenes: Mapping[str, Scene], scene: str, variant: str) -> Outcome | None:
+def find_outcome(scenes: Mapping[str, ThesisScene], scene: str, variant: str) -> RunOutcome | None:
     """Return the outcome of a variant of a scene that ran to its end; None where there is none."""
     found = scenes[scene].outcomes.get(variant) if scene in scenes else None
     return found if found is not None and found.status == "finished" else None

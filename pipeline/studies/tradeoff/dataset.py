@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.studies.tradeoff.deviation import MEASURES
 from pipeline.studies.tradeoff.settings import Setting
-from pipeline.studies.tradeoff.table import COSTS, Row, Table, known
+from pipeline.studies.tradeoff.table import COSTS, ErrorTable, SettingRow, list_deviations
 
 if TYPE_CHECKING:
     import xarray
@@ -28,24 +28,24 @@ _REFERENCES = {
 }
 
 
-def dataset(table: Table) -> "xarray.Dataset":
+def make_dataset(table: ErrorTable) -> "xarray.Dataset":
     """Return the study as a dataset with the dimensions of KNOBS; "failed" is 1 where a setting gave an error."""
     import xarray
 
     rows = table.rows
-    values = {name: _values(name, rows) for name in KNOBS}
+    values = {name: _list_values(name, rows) for name in KNOBS}
     shape = tuple(len(v) for v in values.values())
     data: dict[str, Any] = {}
     for name, (units, text) in COSTS.items():
-        data[name] = _filled(shape, values, {row.setting: row.costs.get(name) for row in rows}, units, text)
-    for name in known(table):
+        data[name] = _fill_variable(shape, values, {row.setting: row.costs.get(name) for row in rows}, units, text)
+    for name in list_deviations(table):
         reference, measure = name.split("_", 1)
         units, text = MEASURES[measure]
         found = {row.setting: row.deviations.get(name) for row in rows}
-        data[name] = _filled(shape, values, found, units, f"{text}; reference: {_REFERENCES[reference]}")
+        data[name] = _fill_variable(shape, values, found, units, f"{text}; reference: {_REFERENCES[reference]}")
     failed = {row.setting: float(row.failure is not None) for row in rows}
-    data["failed"] = _filled(shape, values, failed, "1", "1 where the setting gave an error, 0 where it ran")
-    coordinates = {name: (name, _coordinate(values[name]), _attributes(name)) for name in KNOBS}
+    data["failed"] = _fill_variable(shape, values, failed, "1", "1 where the setting gave an error, 0 where it ran")
+    coordinates = {name: (name, _make_coordinate(values[name]), _make_attributes(name)) for name in KNOBS}
     own = table.reference_error()
     attrs = {
         "Conventions": "CF-1.11",
@@ -59,21 +59,21 @@ def dataset(table: Table) -> "xarray.Dataset":
     return xarray.Dataset(data, coordinates, attrs)
 
 
-def _values(name: str, rows: list[Row]) -> list[Any]:
+def _list_values(name: str, rows: list[SettingRow]) -> list[Any]:
     found = dict.fromkeys(getattr(row.setting, name) for row in rows)
     return sorted(found) if name in ("refinement", "dt") else list(found)
 
 
-def _coordinate(values: list[Any]) -> np.ndarray:
+def _make_coordinate(values: list[Any]) -> np.ndarray:
     return np.array(values, dtype=object if isinstance(values[0], str) else np.float64)
 
 
-def _attributes(name: str) -> dict[str, str]:
+def _make_attributes(name: str) -> dict[str, str]:
     units = {"dt": {"units": "s"}, "refinement": {"units": "1"}}.get(name, {})
     return {"long_name": KNOBS[name], **units}
 
 
-def _filled(
+def _fill_variable(
     shape: tuple[int, ...], values: dict[str, list[Any]], found: Mapping[Setting, float | None], units: str, text: str
 ) -> tuple[tuple[str, ...], np.ndarray, dict[str, str]]:
     out = np.full(shape, np.nan)

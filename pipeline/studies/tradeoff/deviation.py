@@ -13,7 +13,7 @@ from pipeline.arrays import Floats, Ints
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.modes import lowest_frequencies
-from pipeline.studies.tradeoff.motion import Motion
+from pipeline.studies.tradeoff.motion import RecordedMotion
 
 # unit and meaning of every measure
 MEASURES = {
@@ -38,13 +38,13 @@ class FirstMode:
     weighted: Floats
     omega: float
 
-    def amplitude(self, motion: Motion) -> Floats:
+    def amplitude(self, motion: RecordedMotion) -> Floats:
         """Return z of a motion (t,), complex."""
         q, rate = (np.einsum("tnd,nd->t", one, self.weighted) for one in (motion.u, motion.v))
         return np.asarray(q + 1j * rate / self.omega)
 
 
-def first_mode(body: Body) -> FirstMode | None:
+def find_first_mode(body: Body) -> FirstMode | None:
     """Return the lowest elastic mode of a body; None where it has none or it is not found."""
     try:
         omegas, modes = lowest_frequencies(body)
@@ -53,18 +53,18 @@ def first_mode(body: Body) -> FirstMode | None:
     return FirstMode(body.momentum(modes[0]), float(omegas[0])) if len(omegas) else None
 
 
-def distances(motion: Motion, reference: Motion, nodes: Ints | None = None) -> dict[str, float]:
+def measure_distances(motion: RecordedMotion, reference: RecordedMotion, nodes: Ints | None = None) -> dict[str, float]:
     """Return the worst and RMS distance over the body's size; `nodes` are the motion's own in a finer reference."""
     other = reference.u if nodes is None else reference.u[:, nodes]
     apart = np.linalg.norm(motion.u - other, axis=-1) / motion.mesh.size
     return {"worst_distance": float(apart.max()), "rms_distance": float(np.sqrt(np.mean(apart**2)))}
 
 
-def deviation(motion: Motion, reference: Motion, mode: FirstMode | None) -> dict[str, float]:
+def measure_deviation(motion: RecordedMotion, reference: RecordedMotion, mode: FirstMode | None) -> dict[str, float]:
     """Return every measure of MEASURES between two motions of one mesh; NaN where it cannot be known."""
     scale = float(reference.moving_energy.max())
     energy = float(np.abs(motion.energy - reference.energy).max())
-    out = distances(motion, reference) | {
+    out = measure_distances(motion, reference) | {
         "volume": float(np.abs(motion.ratios - reference.ratios).max()),
         "drift": float(np.abs(motion.drift - reference.drift).max()),
         "energy": energy / scale if scale > 0 else float("nan"),
@@ -81,6 +81,6 @@ def deviation(motion: Motion, reference: Motion, mode: FirstMode | None) -> dict
     return out
 
 
-def error(measures: dict[str, float]) -> float:
+def combine_error(measures: dict[str, float]) -> float:
     """Return the one number that a tolerance is held against: worst distance, or half the worst volume, the larger."""
     return max(measures["worst_distance"], VOLUME_SHARE * measures.get("volume", 0.0))

@@ -7,8 +7,8 @@ import numpy as np
 
 from pipeline.formats.atomic import whole_file
 from pipeline.studies.tradeoff.settings import IMPLICIT, MODELS, Setting
-from pipeline.studies.tradeoff.table import Row, Table
-from pipeline.studies.tradeoff.verdict import choosable, front, shares
+from pipeline.studies.tradeoff.table import ErrorTable, SettingRow
+from pipeline.studies.tradeoff.verdict import find_front, list_choosable, split_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +28,7 @@ _PARTS = {"model": "#0072B2", "dt": "#E69F00", "mesh": "#7d8597"}
 _LEAST = 1e-7  # of an error in the picture: below it single precision is all that is seen
 
 
-def front_figure(table: Table, path: Path) -> None:
+def write_front_figure(table: ErrorTable, path: Path) -> None:
     """Write the figure of a study as PNG; raises OutputError where it cannot."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -51,13 +51,15 @@ def front_figure(table: Table, path: Path) -> None:
             figure.savefig(hidden, metadata=metadata)
 
 
-def _draw_costs(axes: "Axes", table: Table) -> None:
+def _draw_costs(axes: "Axes", table: ErrorTable) -> None:
     """Draw every row of the case's mesh, the front through them, the tolerance and the mesh's own error."""
-    rows = choosable(table)
+    rows = list_choosable(table)
     for row in rows:
-        axes.plot(_cost(row), max(row.error(), _LEAST), **_look(row.setting))
-    best = front(rows)
-    axes.plot([_cost(r) for r in best], [max(r.error(), _LEAST) for r in best], color="#626875", lw=1.2, zorder=1)
+        axes.plot(_compute_cost(row), max(row.error(), _LEAST), **_choose_style(row.setting))
+    best = find_front(rows)
+    axes.plot(
+        [_compute_cost(r) for r in best], [max(r.error(), _LEAST) for r in best], color="#626875", lw=1.2, zorder=1
+    )
     axes.set(xscale="log", yscale="log")
     axes.set_xlabel("solver milliseconds for a simulated second")
     axes.set_ylabel("error: the larger of distance / size, ½ |J − J_ref|")
@@ -70,18 +72,20 @@ def _draw_costs(axes: "Axes", table: Table) -> None:
     present = {row.setting.model: row.setting for row in rows if row.setting.stepper in IMPLICIT}
     used = dict.fromkeys(row.setting.stepper for row in rows)
     handles = [
-        _handle(model.replace("_", "-").replace("-", " "), c, "s") for model, c in _COLOURS.items() if model in present
+        _make_handle(model.replace("_", "-").replace("-", " "), c, "s")
+        for model, c in _COLOURS.items()
+        if model in present
     ]
-    handles += [_handle(name.replace("_", " "), "#626875", _MARKERS[name]) for name in used]
+    handles += [_make_handle(name.replace("_", " "), "#626875", _MARKERS[name]) for name in used]
     axes.legend(handles=handles, fontsize=8, frameon=False, ncols=5, loc="upper center", bbox_to_anchor=(0.5, -0.13))
     axes.set_title("every setting on the case's mesh; line: the front", loc="left", fontsize=10)
 
 
-def _cost(row: Row) -> float:
+def _compute_cost(row: SettingRow) -> float:
     return 1e3 / row.costs["real_time_factor"]
 
 
-def _look(setting: Setting) -> dict[str, Any]:
+def _choose_style(setting: Setting) -> dict[str, Any]:
     auto = setting.law == "auto"
     return {
         "marker": _MARKERS[setting.stepper],
@@ -95,14 +99,14 @@ def _look(setting: Setting) -> dict[str, Any]:
     }
 
 
-def _handle(label: str, colour: str, marker: str) -> Any:
+def _make_handle(label: str, colour: str, marker: str) -> Any:
     from matplotlib.lines import Line2D
 
     hollow = "none" if label == "auto" else colour
     return Line2D([], [], ls="none", marker=marker, color=colour, markerfacecolor=hollow, label=label)
 
 
-def _draw_shares(axes: "Axes", table: Table) -> None:
+def _draw_shares(axes: "Axes", table: ErrorTable) -> None:
     """Draw the parts of the error of each model at the case's own stepper and dt."""
     own = table.plan.own
     rows = []
@@ -112,7 +116,7 @@ def _draw_shares(axes: "Axes", table: Table) -> None:
             rows.append(row)
     floor = 1e-5
     for place, row in enumerate(rows):
-        parts = shares(table, row)
+        parts = split_error(table, row)
         for shift, (name, colour) in enumerate(_PARTS.items()):
             value = getattr(parts, name)
             if np.isfinite(value) and value > floor:
@@ -123,5 +127,5 @@ def _draw_shares(axes: "Axes", table: Table) -> None:
     axes.invert_yaxis()
     axes.spines["right"].set_visible(False)
     axes.set_title(f"{own.stepper.replace('_', ' ')}, dt = {own.dt:.4g} s: what dominates", loc="left", fontsize=10)
-    handles = [_handle(name, colour, "s") for name, colour in _PARTS.items()]
+    handles = [_make_handle(name, colour, "s") for name, colour in _PARTS.items()]
     axes.legend(handles=handles, fontsize=8, frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.13))

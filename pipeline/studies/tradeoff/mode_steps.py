@@ -18,20 +18,20 @@ from pipeline.problem.methods import STEPPERS
 from pipeline.problem.problem import Problem
 from pipeline.problem.stage_solvers import make_stepper
 from pipeline.stepping.state import State
-from pipeline.studies.tradeoff.motion import built
+from pipeline.studies.tradeoff.motion import build_problem
 
 _FIRST = 64  # steps a period
 _MOST = 1_000_000
 _RUNS = 12
 
 
-def steps_a_period(settings: Mapping[str, Any]) -> dict[str, Any]:
+def find_steps_per_period(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fewest steps a period for the tolerance, as measured, its error, and omega [rad/s].
 
     Settings are those of `motion.task_settings` and `tolerance`. Raises SolveError where the body has no elastic mode
     or the tolerance is not reached.
     """
-    problem = built(settings, "case")
+    problem = build_problem(settings, "case")
     stepper, tolerance = problem.method.stepper, float(settings["tolerance"])
     omegas, modes = lowest_frequencies(problem.body)
     if not len(omegas):
@@ -40,7 +40,7 @@ def steps_a_period(settings: Mapping[str, Any]) -> dict[str, Any]:
     reached: dict[int, float] = {}
     missed, count = 0, _FIRST
     for _ in range(_RUNS):
-        found = period_error(problem, mode, omega, count)
+        found = measure_period_error(problem, mode, omega, count)
         if found <= tolerance:
             reached[count] = found
         else:
@@ -53,7 +53,7 @@ def steps_a_period(settings: Mapping[str, Any]) -> dict[str, Any]:
     raise SolveError(f"the first mode is not followed to {tolerance:g} by {missed} steps of {stepper} a period")
 
 
-def period_error(problem: Problem, mode: np.ndarray, omega: float, count: int) -> float:
+def measure_period_error(problem: Problem, mode: np.ndarray, omega: float, count: int) -> float:
     """Return |z(T) - z(0)| / |z(0)| after `count` steps over one period of a mode (n, d)."""
     body = replace(problem.body, load=np.zeros_like(problem.body.load), varying_load=None)
     dt = 2 * pi / omega / count

@@ -23,20 +23,23 @@ from pipeline.run.frames import frames
 
 COUNTS = ("steps", "solves", "iterations", "factorisations", "rotations")
 _ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")
-_MEASURED, _ENOUGH = 0.5, 5.0  # seconds of all repeats: at least, if need be by more of them, and enough for any
+_LEAST_SECONDS, _MOST_SECONDS = (
+    0.5,
+    5.0,
+)  # seconds of all repeats: at least, if need be by more of them, and enough for any
 _MOST_RUNS, _PAIRS = 15, 9
 _BEYOND = 1e3  # body sizes: what has flown so far has no error that is worth a number
 
 
-def task_settings(case: Case, repeats: int) -> dict[str, Any]:
+def make_task_settings(case: Case, repeats: int) -> dict[str, Any]:
     """Return the settings of `run_motion` for a resolved case; a mesh file's content is part of them."""
     settings = {"case": result_settings(case), "path": str(case.path.resolve()), "repeats": repeats}
     if case.mesh_path is not None:
-        settings["mesh_file"] = _digest(case, case.mesh_path)
+        settings["mesh_file"] = _hash_file(case, case.mesh_path)
     return settings
 
 
-def _digest(case: Case, path: Path) -> str:
+def _hash_file(case: Case, path: Path) -> str:
     try:
         return sha256(path.read_bytes()).hexdigest()
     except OSError as error:
@@ -49,23 +52,23 @@ def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:
     The run is repeated as the settings ask, a short one more often and a long one less; seconds are the median, the
     motion is the same each time. Raises SolveError where a step fails or the body leaves the scene.
     """
-    problem = built(settings, "case")
+    problem = build_problem(settings, "case")
     problem.prepare().step(problem.start)  # kernels are loaded now, not in the first timed step
     seconds: list[float] = []
     setup: list[float] = []
     repeats = settings["repeats"]
-    while (len(seconds) < repeats and sum(seconds) < _ENOUGH) or (repeats > 1 and _brief(seconds)):
+    while (len(seconds) < repeats and sum(seconds) < _MOST_SECONDS) or (repeats > 1 and _are_too_short(seconds)):
         seen = list(frames(problem))
         setup.append((seen[0].work or Work()).seconds)
-        total = _solving(seen)
+        total = _sum_step_work(seen)
         seconds.append(total.seconds)
     X, size = problem.body.mesh.points, problem.body.mesh.size
     u = np.stack([frame.x - X for frame in seen])
     if np.abs(u).max() > _BEYOND * size:
         raise SolveError(f"moved by {np.abs(u).max() / size:.3g} times its size")
     return {
-        "displacement": packed(u),
-        "velocity": packed(np.stack([frame.v for frame in seen if frame.v is not None])),
+        "displacement": pack_array(u),
+        "velocity": pack_array(np.stack([frame.v for frame in seen if frame.v is not None])),
         "shape": u.shape,
         **{name: [float(frame.known[name]) for frame in seen] for name in _ENERGIES},
         "seconds": statistics.median(seconds),
@@ -77,48 +80,48 @@ def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def race(settings: Mapping[str, Any]) -> dict[str, Any]:
+def run_race(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the ratio of solver seconds of "case" over those of "rival", run in turn: the median of the pairs.
 
     Whatever else the machine does meanwhile slows both, so that the ratio is told better than either time.
     """
-    problems = [built(settings, key) for key in ("case", "rival")]
+    problems = [build_problem(settings, key) for key in ("case", "rival")]
     for problem in problems:
         problem.prepare().step(problem.start)
     pairs: list[tuple[float, float]] = []
-    while len(pairs) < _PAIRS or _brief([first for first, _ in pairs]):
-        first, second = (_solving(list(frames(problem))).seconds for problem in problems)
+    while len(pairs) < _PAIRS or _are_too_short([first for first, _ in pairs]):
+        first, second = (_sum_step_work(list(frames(problem))).seconds for problem in problems)
         pairs.append((first, second))
     return {"ratio": statistics.median(first / second for first, second in pairs), "pairs": len(pairs)}
 
 
-def built(settings: Mapping[str, Any], key: str) -> Problem:
+def build_problem(settings: Mapping[str, Any], key: str) -> Problem:
     """Return the problem of the case that settings hold under a key."""
     return build(Case.model_validate({**settings[key], "path": Path(settings["path"])}))
 
 
-def _solving(seen: list[Frame]) -> Work:
+def _sum_step_work(seen: list[Frame]) -> Work:
     """Return the work of all steps; that of the first frame is the set-up."""
     return sum((frame.work or Work() for frame in seen[1:]), Work())
 
 
-def _brief(seconds: list[float]) -> bool:
+def _are_too_short(seconds: list[float]) -> bool:
     """Return whether runs were so short, and few, that their median says little on a busy machine."""
-    return sum(seconds) < _MEASURED and len(seconds) < _MOST_RUNS
+    return sum(seconds) < _LEAST_SECONDS and len(seconds) < _MOST_RUNS
 
 
-def packed(values: Floats) -> str:
+def pack_array(values: Floats) -> str:
     """Return an array as text. Single precision: displacements to 1e-7 of themselves, far below any error told."""
     return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()
 
 
-def unpacked(text: str, shape: tuple[int, ...]) -> Floats:
+def unpack_array(text: str, shape: tuple[int, ...]) -> Floats:
     """Return the array that a text holds."""
     return np.frombuffer(base64.b64decode(text), dtype="<f4").astype(np.float64).reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class RecordedMotion:
     """Displacements and velocities (t, n, d) of a mesh, and its energies (t,) [J]: all of it, and all but loads'."""
 
     mesh: Mesh
@@ -140,9 +143,9 @@ class Motion:
         return np.asarray(self.ratios @ rest / rest.sum() - 1)
 
 
-def read_motion(result: Mapping[str, Any], mesh: Mesh) -> Motion:
+def read_motion(result: Mapping[str, Any], mesh: Mesh) -> RecordedMotion:
     """Return the motion of a result of `run_motion`."""
     shape = tuple(result["shape"])
     kinetic, elastic, potential = (np.array(result[name]) for name in _ENERGIES)
-    u, v = (unpacked(result[name], shape) for name in ("displacement", "velocity"))
-    return Motion(mesh, u, v, kinetic + elastic + potential, kinetic + elastic)
+    u, v = (unpack_array(result[name], shape) for name in ("displacement", "velocity"))
+    return RecordedMotion(mesh, u, v, kinetic + elastic + potential, kinetic + elastic)

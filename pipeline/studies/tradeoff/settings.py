@@ -113,7 +113,7 @@ class Plan:
         return one if one in self.settings else one.converged()
 
 
-def planned(
+def make_plan(
     case: Case,
     *,
     tolerance: float,
@@ -131,7 +131,7 @@ def planned(
     schedule = case.schedule
     # an explicit case's own step says nothing of what implicit ones can take; its frames do
     dt = schedule.dt * (schedule.steps_per_frame if explicit else 1)
-    ladder = _ladder(case, dts, [dt * f for f in (QUICK_FACTORS if quick else DT_FACTORS)])
+    ladder = _choose_steps(case, dts, [dt * f for f in (QUICK_FACTORS if quick else DT_FACTORS)])
     own = schedule.steps_per_frame * schedule.frames
     end = schedule.dt * (own if steps is None else min(steps, own))
     count = int(end / ladder[0] * (1 + _WHOLE))
@@ -140,15 +140,15 @@ def planned(
             "schedule.frames", f"{end:g} s are shorter than the longest step of the study, {ladder[0]:g} s"
         )
     stride = ceil(count / _MOST_FRAMES)
-    meshes, notes = _meshes(case, refinements, quick)
+    meshes, notes = _choose_refinements(case, refinements, quick)
     nearest = min(ladder, key=lambda one: abs(one / dt - 1))
     case = case.model_copy(update={"method": case.method.model_copy(update={"inversion": "flip"})})
     plan = Plan(case, (), stride * ladder[0], count // stride, nearest, ladder, meshes, tolerance, notes)
-    settings = [s for refinement in meshes for s in _slices(plan, refinement)]
+    settings = [s for refinement in meshes for s in _list_settings(plan, refinement)]
     return replace(plan, settings=tuple(dict.fromkeys(settings)))
 
 
-def _ladder(case: Case, asked: Sequence[float], usual: Sequence[float]) -> tuple[float, ...]:
+def _choose_steps(case: Case, asked: Sequence[float], usual: Sequence[float]) -> tuple[float, ...]:
     """Return the steps, longest first; raises CaseError where one does not divide the longest."""
     ladder = tuple(sorted(set(asked or usual), reverse=True))
     for dt in ladder:
@@ -162,7 +162,7 @@ def _ladder(case: Case, asked: Sequence[float], usual: Sequence[float]) -> tuple
     return ladder
 
 
-def _meshes(case: Case, asked: Sequence[int], quick: bool) -> tuple[tuple[int, ...], tuple[str, ...]]:
+def _choose_refinements(case: Case, asked: Sequence[int], quick: bool) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """Return the refinements that can be compared, 1 first, and notes of what is not available."""
     if any(factor < 1 for factor in asked):
         raise case.make_error("mesh.cells", f"--refine {min(asked)}: factors are whole numbers from 1 on")
@@ -182,7 +182,7 @@ def _meshes(case: Case, asked: Sequence[int], quick: bool) -> tuple[tuple[int, .
     return (1,), (f"mesh error not available: {reason}",)
 
 
-def _slices(plan: Plan, refinement: int) -> list[Setting]:
+def _list_settings(plan: Plan, refinement: int) -> list[Setting]:
     mass, other = plan.case.method.mass, {"consistent": "lumped", "lumped": "consistent"}[plan.case.method.mass]
     fine = refinement > 1
     dts = [dt for dt in plan.dts if dt <= plan.dt][:3] if fine else plan.dts
@@ -193,32 +193,34 @@ def _slices(plan: Plan, refinement: int) -> list[Setting]:
     out += [Setting(refinement, mass, "bdf2", dt, *m) for dt in smaller for m in FINE_MODELS]
     out += [Setting(refinement, other, stepper, plan.dt, *CONVERGED) for stepper in IMPLICIT]
     out.append(replace(plan.reference(refinement), mass=other, dt=dts[-1]))
-    dt = _explicit_step(plan, refinement)
+    dt = _choose_explicit_step(plan, refinement)
     for part in (1, 2):
         out += [Setting(refinement, "lumped", "symplectic_euler", dt / part, "corotational", "polar", "1")]
     return out
 
 
-def _explicit_step(plan: Plan, refinement: int) -> float:
+def _choose_explicit_step(plan: Plan, refinement: int) -> float:
     """Return the longest step [s] that symplectic Euler can take between two instants in whole steps."""
-    body = build(point_case(plan, plan.reference(refinement))).body
+    body = build(make_point_case(plan, plan.reference(refinement))).body
     bound, _ = STEP_LIMITS["symplectic_euler"]
     return plan.interval / ceil(plan.interval / (_BELOW_LIMIT * bound(body)))
 
 
-def point_case(plan: Plan, setting: Setting) -> Case:
+def make_point_case(plan: Plan, setting: Setting) -> Case:
     """Return the case of one setting, with what its stepper decides written out."""
-    return resolve_mass(plan.case.model_copy(update={"variants": {"point": overrides(plan, setting)}}).variant("point"))
+    return resolve_mass(
+        plan.case.model_copy(update={"variants": {"point": make_overrides(plan, setting)}}).variant("point")
+    )
 
 
-def overrides(plan: Plan, setting: Setting) -> dict[str, Any]:
+def make_overrides(plan: Plan, setting: Setting) -> dict[str, Any]:
     """Return the setting as a variant's overrides, its schedule the plan's instants."""
     steps = round(plan.interval / setting.dt)
     schedule = {"dt": plan.interval / steps, "steps_per_frame": steps, "frames": plan.frames}
-    return method_keys(plan, setting) | mesh_keys(plan, setting) | {"schedule": schedule}
+    return make_method_keys(plan, setting) | make_mesh_keys(plan, setting) | {"schedule": schedule}
 
 
-def method_keys(plan: Plan, setting: Setting) -> dict[str, Any]:
+def make_method_keys(plan: Plan, setting: Setting) -> dict[str, Any]:
     """Return the keys of the method that a setting stands for."""
     keys: dict[str, Any] = {"method.stepper": setting.stepper, "method.mass": setting.mass}
     if setting.law == "auto":
@@ -231,7 +233,7 @@ def method_keys(plan: Plan, setting: Setting) -> dict[str, Any]:
     return keys
 
 
-def mesh_keys(plan: Plan, setting: Setting) -> dict[str, Any]:
+def make_mesh_keys(plan: Plan, setting: Setting) -> dict[str, Any]:
     """Return the key of the mesh that a setting stands for; none for the case's own."""
     mesh: MeshSpec = plan.case.mesh
     if setting.refinement == 1 or mesh.cells is None:
@@ -239,7 +241,7 @@ def mesh_keys(plan: Plan, setting: Setting) -> dict[str, Any]:
     return {"mesh.cells": [setting.refinement * count for count in mesh.cells]}
 
 
-def nested(cells: Sequence[int], factor: int) -> Ints:
+def find_coarse_nodes(cells: Sequence[int], factor: int) -> Ints:
     """Return the number of every node of a grid of cells in the grid refined by a whole factor (n,)."""
     coarse = np.stack(np.meshgrid(*[np.arange(c + 1) for c in cells], indexing="ij"), axis=-1)
     counts = tuple(factor * c + 1 for c in cells)

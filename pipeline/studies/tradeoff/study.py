@@ -12,28 +12,28 @@ from pipeline.case import Case
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.netcdf import write_dataset
 from pipeline.results.variant_run import result_settings
-from pipeline.studies.sweep import Point, plain, sweep
-from pipeline.studies.tradeoff.apply_choice import apply
-from pipeline.studies.tradeoff.dataset import dataset
-from pipeline.studies.tradeoff.front_figure import front_figure
-from pipeline.studies.tradeoff.mode_steps import steps_a_period
-from pipeline.studies.tradeoff.motion import race, run_motion, task_settings
-from pipeline.studies.tradeoff.settings import IMPLICIT, LINEAR, Plan, Setting, point_case
-from pipeline.studies.tradeoff.table import Table
+from pipeline.studies.sweep import Point, run_sweep, to_json
+from pipeline.studies.tradeoff.chosen_variant import write_chosen_variant
+from pipeline.studies.tradeoff.dataset import make_dataset
+from pipeline.studies.tradeoff.front_figure import write_front_figure
+from pipeline.studies.tradeoff.mode_steps import find_steps_per_period
+from pipeline.studies.tradeoff.motion import make_task_settings, run_motion, run_race
+from pipeline.studies.tradeoff.settings import IMPLICIT, LINEAR, Plan, Setting, make_point_case
+from pipeline.studies.tradeoff.table import ErrorTable
 from pipeline.studies.tradeoff.verdict import (
     AUTO_BAR,
     MODE_BAR,
     AutoVerdict,
-    as_dict,
-    auto_verdicts,
-    cheapest,
-    choosable,
-    front,
-    named,
-    percent,
-    sentence,
-    shares,
-    worst_auto,
+    describe_choice,
+    describe_setting,
+    find_cheapest,
+    find_front,
+    find_worst_auto,
+    format_percent,
+    judge_auto,
+    list_choosable,
+    row_to_dict,
+    split_error,
 )
 from pipeline.system.version import VERSION
 
@@ -51,7 +51,7 @@ class Tradeoff:
     made: tuple[Path, ...]
 
 
-def tradeoff(
+def study_tradeoff(
     plan: Plan,
     folder: Path,
     *,
@@ -65,73 +65,78 @@ def tradeoff(
     Timed settings run one at a time; `scheduler` names an existing dask scheduler. Raises SolveError where the
     reference cannot be computed, CaseError where the choice cannot be written, OutputError.
     """
-    points = {setting.key: _point(plan, setting, repeats) for setting in plan.settings}
-    results = sweep(
-        _task, [*points.values(), *_mode_points(plan)], folder, scheduler=scheduler, timed=True, on_result=on_point
+    points = {setting.key: _make_point(plan, setting, repeats) for setting in plan.settings}
+    results = run_sweep(
+        _run_task,
+        [*points.values(), *_make_mode_points(plan)],
+        folder,
+        scheduler=scheduler,
+        timed=True,
+        on_result=on_point,
     )
-    table = Table(plan, {key: results[key] for key in points})
+    table = ErrorTable(plan, {key: results[key] for key in points})
     mode = {stepper: results[f"first-mode-{stepper}"] for stepper in IMPLICIT}
-    verdicts = _raced(plan, auto_verdicts(table), folder, scheduler)
+    verdicts = _race_verdicts(plan, judge_auto(table), folder, scheduler)
     made = tuple(folder / name for name in ("tradeoff.nc", "tradeoff.png", "summary.json"))
-    write_dataset(dataset(table), made[0])
-    front_figure(table, made[1])
-    said = sentence(table)
-    summary = plain(_summary(table, mode, verdicts) | {"sentence": said})
+    write_dataset(make_dataset(table), made[0])
+    write_front_figure(table, made[1])
+    said = describe_choice(table)
+    summary = to_json(_make_summary(table, mode, verdicts) | {"sentence": said})
     write_whole(made[2], json.dumps(summary, indent=2, allow_nan=False) + "\n")
     notes = list(plan.notes)
     if write_variant:
-        notes.append(_applied(table, said))
+        notes.append(_apply_choice(table, said))
     return Tradeoff(
         folder,
         summary,
         said,
-        (*_lines(table, summary, worst_auto(verdicts)), *(f"note: {note}" for note in notes)),
+        (*_list_lines(table, summary, find_worst_auto(verdicts)), *(f"note: {note}" for note in notes)),
         made,
     )
 
 
-def _task(settings: Any) -> dict[str, Any]:
+def _run_task(settings: Any) -> dict[str, Any]:
     """Return the result of one study point."""
     if "rival" in settings:
-        return race(settings)
-    return steps_a_period(settings) if "tolerance" in settings else run_motion(settings)
+        return run_race(settings)
+    return find_steps_per_period(settings) if "tolerance" in settings else run_motion(settings)
 
 
-def _point(plan: Plan, setting: Setting, repeats: int) -> Point:
-    case = point_case(plan, setting)
+def _make_point(plan: Plan, setting: Setting, repeats: int) -> Point:
+    case = make_point_case(plan, setting)
     once = setting in {plan.reference(r) for r in plan.refinements}
-    return Point(setting.key, task_settings(case, 1 if once else repeats))
+    return Point(setting.key, make_task_settings(case, 1 if once else repeats))
 
 
-def _mode_points(plan: Plan) -> list[Point]:
+def _make_mode_points(plan: Plan) -> list[Point]:
     """Return the points that count the steps of each implicit stepper for the first mode of the linear body."""
     out = []
     for stepper in IMPLICIT:
-        case: Case = point_case(plan, Setting(1, plan.case.method.mass, stepper, plan.dt, *LINEAR))
-        out.append(Point(f"first-mode-{stepper}", task_settings(case, 1) | {"tolerance": MODE_TOLERANCE}))
+        case: Case = make_point_case(plan, Setting(1, plan.case.method.mass, stepper, plan.dt, *LINEAR))
+        out.append(Point(f"first-mode-{stepper}", make_task_settings(case, 1) | {"tolerance": MODE_TOLERANCE}))
     return out
 
 
-def _raced(plan: Plan, verdicts: list[AutoVerdict], folder: Path, scheduler: str | None) -> list[AutoVerdict]:
+def _race_verdicts(plan: Plan, verdicts: list[AutoVerdict], folder: Path, scheduler: str | None) -> list[AutoVerdict]:
     """Return the verdicts with their ratio of seconds measured anew, auto and its rival in turn."""
     points = {}
     for one in verdicts:
         if one.rival is not None:
-            settings = task_settings(point_case(plan, one.setting), 1)
-            settings["rival"] = result_settings(point_case(plan, one.rival))
+            settings = make_task_settings(make_point_case(plan, one.setting), 1)
+            settings["rival"] = result_settings(make_point_case(plan, one.rival))
             points[one.setting.key] = Point(f"race-{one.setting.key}", settings)
-    found = sweep(_task, list(points.values()), folder, scheduler=scheduler, timed=True)
+    found = run_sweep(_run_task, list(points.values()), folder, scheduler=scheduler, timed=True)
     ratios = {key: found[point.key].get("ratio") for key, point in points.items()}
     return [replace(one, ratio=ratios.get(one.setting.key)) for one in verdicts]
 
 
-def _summary(table: Table, mode: dict[str, dict[str, Any]], verdicts: list[AutoVerdict]) -> dict[str, Any]:
+def _make_summary(table: ErrorTable, mode: dict[str, dict[str, Any]], verdicts: list[AutoVerdict]) -> dict[str, Any]:
     """Return everything that was found but the rows themselves, which tradeoff.nc holds."""
-    plan, rows = table.plan, choosable(table)
+    plan, rows = table.plan, list_choosable(table)
     own = table.row(plan.own)
-    chosen = cheapest(rows, plan.tolerance)
-    every = choosable(table, None)
-    parts = shares(table, own) if own is not None else None
+    chosen = find_cheapest(rows, plan.tolerance)
+    every = list_choosable(table, None)
+    parts = split_error(table, own) if own is not None else None
     counts = {stepper: found.get("steps") for stepper, found in mode.items()}
     slow, fast = (counts[stepper] for stepper in IMPLICIT)
     return {
@@ -140,11 +145,11 @@ def _summary(table: Table, mode: dict[str, dict[str, Any]], verdicts: list[AutoV
         "tolerance": plan.tolerance,
         "simulated_seconds": plan.interval * plan.frames,
         "reference": {"setting": asdict(plan.reference(plan.refinements[-1])), **asdict(table.reference_error())},
-        "choice": as_dict(chosen),
-        "choice_for_a_tenth": as_dict(cheapest(rows, plan.tolerance / 10)),
-        "choice_with_the_mesh": as_dict(cheapest(every, plan.tolerance, "total")),
-        "front": [as_dict(row) for row in front(rows)],
-        "own": as_dict(own),
+        "choice": row_to_dict(chosen),
+        "choice_for_a_tenth": row_to_dict(find_cheapest(rows, plan.tolerance / 10)),
+        "choice_with_the_mesh": row_to_dict(find_cheapest(every, plan.tolerance, "total")),
+        "front": [row_to_dict(row) for row in find_front(rows)],
+        "own": row_to_dict(own),
         "own_error_parts": None if parts is None else asdict(parts) | {"dominant": parts.dominant},
         "auto": [asdict(verdict) for verdict in verdicts],
         "auto_bar": AUTO_BAR,
@@ -160,28 +165,28 @@ def _summary(table: Table, mode: dict[str, dict[str, Any]], verdicts: list[AutoV
     }
 
 
-def _lines(table: Table, summary: dict[str, Any], worst: AutoVerdict | None) -> list[str]:
+def _list_lines(table: ErrorTable, summary: dict[str, Any], worst: AutoVerdict | None) -> list[str]:
     """Return what is told beside the sentence: the reference's own error, what dominates, and the bars."""
     plan, own = table.plan, summary["own_error_parts"]
     reference = table.reference_error()
     order = "" if reference.order is None else f", order {reference.order:.2f}"
     step = f"dt = {plan.reference(1).dt:.3g} s"
-    lines = [f"reference: bdf2, converged, {step}; its own error is about {_told(reference.time)}{order}"]
+    lines = [f"reference: bdf2, converged, {step}; its own error is about {_format_error(reference.time)}{order}"]
     if reference.mesh is not None:
         lines.append(
-            f"finest mesh: cells x {plan.refinements[-1]}; its own error is about {_told(reference.mesh)}, "
+            f"finest mesh: cells x {plan.refinements[-1]}; its own error is about {_format_error(reference.mesh)}, "
             "if errors fall with the square of the cells' size"
         )
     if own is not None:
-        parts = ", ".join(f"{name} {_told(own[name])}" for name in ("model", "dt", "mesh"))
+        parts = ", ".join(f"{name} {_format_error(own[name])}" for name in ("model", "dt", "mesh"))
         lines.append(f"the case as it is: {parts}; {own['dominant']} dominates")
-    lines += _bars(summary, worst)
+    lines += _list_bar_lines(summary, worst)
     if summary["failed"]:
         lines.append(f"{len(summary['failed'])} of {len(table.rows)} settings failed: see summary.json")
     return lines
 
 
-def _bars(summary: dict[str, Any], worst: AutoVerdict | None) -> list[str]:
+def _list_bar_lines(summary: dict[str, Any], worst: AutoVerdict | None) -> list[str]:
     """Return what auto costs beside fixed settings, and what the first mode asks of each stepper."""
     lines = []
     ratios = [one["ratio"] for one in summary["auto"] if one["ratio"] is not None]
@@ -189,7 +194,7 @@ def _bars(summary: dict[str, Any], worst: AutoVerdict | None) -> list[str]:
         kept = "within" if all(one["kept"] for one in summary["auto"]) else "NOT within"
         lines.append(
             f"auto: {median(ratios):.2f} times the cheapest fixed setting of the same tolerance (median), "
-            f"at most {worst.ratio:.2f} ({named(worst.rival)}; bar {AUTO_BAR:g}); "
+            f"at most {worst.ratio:.2f} ({describe_setting(worst.rival)}; bar {AUTO_BAR:g}); "
             f"|J - J_ref| {kept} twice the tolerance"
         )
     mode = summary["first_mode"]
@@ -202,15 +207,15 @@ def _bars(summary: dict[str, Any], worst: AutoVerdict | None) -> list[str]:
     return lines
 
 
-def _told(value: float | None) -> str:
-    return "not available" if value is None or not isfinite(value) else percent(value)
+def _format_error(value: float | None) -> str:
+    return "not available" if value is None or not isfinite(value) else format_percent(value)
 
 
-def _applied(table: Table, said: str) -> str:
+def _apply_choice(table: ErrorTable, said: str) -> str:
     """Return a note of what was written into the case file."""
-    chosen = cheapest(choosable(table), table.plan.tolerance)
+    chosen = find_cheapest(list_choosable(table), table.plan.tolerance)
     path = table.plan.case.path
     if chosen is None:
         return f"{path}: no variant written: no setting reaches the tolerance"
-    apply(table.plan, chosen.setting, said.partition(": ")[2])
+    write_chosen_variant(table.plan, chosen.setting, said.partition(": ")[2])
     return f'{path}: variant "adequate" written; pipeline run {path} --variant adequate'

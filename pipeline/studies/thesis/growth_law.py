@@ -38,7 +38,7 @@ class Growth:
 
 
 @dataclass(frozen=True)
-class Band:
+class RatioBand:
     """J / sec^2 of the cells that turned by more than `above` [degrees]: how many, 5 %, median, 95 %, largest angle."""
 
     above: float
@@ -50,16 +50,16 @@ class Band:
     largest_law: float  # sec^2 of the largest angle
 
 
-def linear_growth(series: Series) -> Growth:
+def read_linear_growth(series: Series) -> Growth:
     """Return all cells and frames of a run of the linear law."""
-    pairs = [(angle(polar(F)), np.linalg.det(F)) for F in _gradients(series)]
+    pairs = [(angle(polar(F)), np.linalg.det(F)) for F in _list_gradients(series)]
     return Growth(*(np.concatenate(column) for column in zip(*pairs, strict=True)))
 
 
-def step_growth(series: Series) -> Growth:
+def read_step_growth(series: Series) -> Growth:
     """Return all cells and steps of a run of one solve a step that recorded every step."""
     angles, ratios, before = [], [], None
-    for F in _gradients(series):
+    for F in _list_gradients(series):
         R = polar(F)
         if before is not None:
             angles.append(angle(np.swapaxes(before, 1, 2) @ R))
@@ -74,18 +74,18 @@ def growth_between(mesh: Mesh, x_used: Floats, x: Floats) -> Growth:
     return Growth(angle(np.swapaxes(polar(before), 1, 2) @ polar(F)), np.linalg.det(F))
 
 
-def _gradients(series: Series) -> list[Floats]:
+def _list_gradients(series: Series) -> list[Floats]:
     return [deformation_gradient(series.mesh, frame.x) for frame in series]
 
 
-def band(growth: Growth, above: float) -> Band | None:
+def make_band(growth: Growth, above: float) -> RatioBand | None:
     """Return the band of the cells that turned by more than `above` degrees; None where none did."""
     chosen = growth.angle > np.radians(above)
     if not chosen.any():
         return None
     low, median, high = np.quantile(growth.over_law[chosen], [0.05, 0.5, 0.95])
     largest = float(growth.angle.max())
-    return Band(
+    return RatioBand(
         above, int(chosen.sum()), float(low), float(median), float(high),
         float(np.degrees(largest)), float(1 / np.cos(largest) ** 2),
     )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 from pipeline.case import load_case
 from pipeline.errors import CaseError
 from pipeline.formats.atomic import whole_file
-from pipeline.studies.tradeoff.settings import Plan, Setting, mesh_keys, method_keys
+from pipeline.studies.tradeoff.settings import Plan, Setting, make_mesh_keys, make_method_keys
 
 NAME = "adequate"
 _MARK = "# The choice of `pipeline study tradeoff`"
@@ -16,7 +16,7 @@ _MARK = "# The choice of `pipeline study tradeoff`"
 _BLOCK = re.compile(rf"\n*^{re.escape(_MARK)}.*?(?=\n\n|\Z)", re.MULTILINE | re.DOTALL)
 
 
-def apply(plan: Plan, setting: Setting, why: str) -> None:
+def write_chosen_variant(plan: Plan, setting: Setting, why: str) -> None:
     """Append the setting to the case's file as [variants.adequate]; what stood there is kept, an earlier choice is not.
 
     The frames are those of the case where dt divides their interval. Raises CaseError where the file has such a
@@ -28,7 +28,7 @@ def apply(plan: Plan, setting: Setting, why: str) -> None:
     variants = tomllib.loads(kept).get("variants", {})
     if NAME in variants:
         raise CaseError(f"{path}: variants.{NAME}: is there already; rename it or remove it")
-    keys = [f'"{key}" = {_inline(value)}' for key, value in _overrides(plan, setting).items()]
+    keys = [f'"{key}" = {_format_inline(value)}' for key, value in _make_overrides(plan, setting).items()]
     lines = [_MARK, f"# {why}", f"[variants.{NAME}]", *keys]
     if not variants:  # a case without variants has one, of this name
         lines[2:2] = ["[variants.default]"]
@@ -41,16 +41,16 @@ def apply(plan: Plan, setting: Setting, why: str) -> None:
             raise CaseError(f"{path}: variants: cannot be appended to; add {line} yourself") from error
 
 
-def _inline(value: Any) -> str:
+def _format_inline(value: Any) -> str:
     """Return a TOML value on one line."""
     if isinstance(value, dict):
-        return f"{{{', '.join(f'{key} = {_inline(one)}' for key, one in value.items())}}}"
+        return f"{{{', '.join(f'{key} = {_format_inline(one)}' for key, one in value.items())}}}"
     if isinstance(value, list):
-        return f"[{', '.join(map(_inline, value))}]"
+        return f"[{', '.join(map(_format_inline, value))}]"
     return json.dumps(value)  # of a string or a number it is TOML too
 
 
-def _overrides(plan: Plan, setting: Setting) -> dict[str, Any]:
+def _make_overrides(plan: Plan, setting: Setting) -> dict[str, Any]:
     schedule = plan.case.schedule
     interval = schedule.dt * schedule.steps_per_frame
     steps = round(interval / setting.dt)
@@ -62,4 +62,4 @@ def _overrides(plan: Plan, setting: Setting) -> dict[str, Any]:
             "steps_per_frame": 1,
             "frames": max(1, int(interval * schedule.frames / setting.dt)),
         }
-    return method_keys(plan, setting) | mesh_keys(plan, setting) | {"schedule": rhythm}
+    return make_method_keys(plan, setting) | make_mesh_keys(plan, setting) | {"schedule": rhythm}

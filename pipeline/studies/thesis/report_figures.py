@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.formats.atomic import whole_file
 from pipeline.series import Series
-from pipeline.studies.thesis.law import Growth
+from pipeline.studies.thesis.growth_law import Growth
 from pipeline.system.opengl import ensure_opengl
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ _PANEL = (400, 330)
 _STEEPEST = np.radians(85)
 
 
-def states_figure(series: Mapping[str, Series], states: Mapping[str, Sequence[int]], path: Path) -> None:
+def write_states_figure(series: Mapping[str, Series], states: Mapping[str, Sequence[int]], path: Path) -> None:
     """Write a strip a variant with the bodies at the given frames, coloured by volume ratio, one camera for all.
 
     Raises OutputError without OpenGL or where it cannot write.
@@ -36,7 +36,7 @@ def states_figure(series: Mapping[str, Series], states: Mapping[str, Sequence[in
     tracks = [read_track(one, name.replace("_", " ")) for name, one in series.items()]
     shown = [[i for i in states[name] if i < len(one)] for name, one in series.items()]
     radius = choose_color_radius(tracks)
-    columns, deep = _grid(max(len(row) for row in shown))
+    columns, deep = _choose_grid(max(len(row) for row in shown))
     (width, height), line = _PANEL, 32
     page = Image.new("RGB", (columns * width, len(tracks) * deep * (height + line) + line), "white")
     draw = ImageDraw.Draw(page)
@@ -57,13 +57,13 @@ def states_figure(series: Mapping[str, Series], states: Mapping[str, Sequence[in
         page.save(hidden, format="PNG", optimize=True)
 
 
-def _grid(count: int) -> tuple[int, int]:
+def _choose_grid(count: int) -> tuple[int, int]:
     """Return columns and rows for some pictures: four in a row at most, and no row of one."""
     columns = count if count <= 4 else 3
     return columns, -(-count // columns)
 
 
-def law_figure(growths: Mapping[str, Growth], path: Path, *, across: str) -> None:
+def write_law_figure(growths: Mapping[str, Growth], path: Path, *, across: str) -> None:
     """Write J against an angle, a panel a scene: every cell of every frame, and the curve sec^2."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -12,7 +12,7 @@ _MOST = 8
 _FLAT = -1e-9
 
 
-def scrambled(mesh: Mesh, free: Ints, reach: float, *, seed: int) -> Floats:
+def scramble_nodes(mesh: Mesh, free: Ints, reach: float, *, seed: int) -> Floats:
     """Return the points (n, d) with every free node moved along every axis by up to +-reach [m]."""
     away = np.random.default_rng(seed).uniform(-reach, reach, mesh.points.shape)
     x = mesh.points.copy()
@@ -20,7 +20,7 @@ def scrambled(mesh: Mesh, free: Ints, reach: float, *, seed: int) -> Floats:
     return x
 
 
-def apexes_moved(mesh: Mesh, free: Ints, part: float, *, seed: int) -> Floats:
+def move_apexes(mesh: Mesh, free: Ints, part: float, *, seed: int) -> Floats:
     """Return the points (n, d), some free nodes moved by a part of the way to the middle of a cell's base.
 
     At part = 1 - h the cell's height is h of what it was, and no other cell is flatter; beyond 1 the cell is
@@ -29,12 +29,12 @@ def apexes_moved(mesh: Mesh, free: Ints, part: float, *, seed: int) -> Floats:
     x, order = mesh.points.copy(), np.random.default_rng(seed)
     taken: set[int] = set()
     moved = 0
-    cells_of = _cells_of_nodes(mesh)
+    cells_of = _list_cells_of_nodes(mesh)
     for node in order.permutation(free):
         star = cells_of[node]
         if taken.intersection(mesh.cells[star].ravel().tolist()):
             continue
-        target = _base_within_reach(mesh, int(node), star)
+        target = _find_base_center(mesh, int(node), star)
         if target is None:
             continue
         x[node] += part * (target - x[node])
@@ -47,13 +47,13 @@ def apexes_moved(mesh: Mesh, free: Ints, part: float, *, seed: int) -> Floats:
     return x
 
 
-def _cells_of_nodes(mesh: Mesh) -> list[Ints]:
+def _list_cells_of_nodes(mesh: Mesh) -> list[Ints]:
     order = np.argsort(mesh.cells, axis=None, kind="stable")
     ends = np.cumsum(np.bincount(mesh.cells.ravel(), minlength=len(mesh.points)))
     return np.split(order // mesh.cells.shape[1], ends[:-1])
 
 
-def _base_within_reach(mesh: Mesh, node: int, star: Ints) -> Floats | None:
+def _find_base_center(mesh: Mesh, node: int, star: Ints) -> Floats | None:
     """Return the middle of a base opposite to the node, at which no cell of its star is inverted."""
     cells = mesh.cells[star]
     for cell in cells:
