@@ -46,7 +46,7 @@ def main() -> None:
     def sinks() -> list[Sink]:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        first = FORMATS[options.format].sink(folder, [], options.precision, options.frames)
+        first = FORMATS[options.format].make_sink(folder, [], options.precision, options.frames)
         return [first, NetcdfSink(folder / "statistics.nc", title="writing")]
 
     def seconds(watcher: Watcher, kept: list[Frame] | None = None) -> float:

@@ -1,4 +1,4 @@
-"""The types of arrays that signatures name."""
+"""Array types for signatures."""
 
 from collections.abc import Mapping
 from typing import Any

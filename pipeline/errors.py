@@ -1,4 +1,4 @@
-"""Everything that this package raises on purpose, and how its messages quote what they were given.
+"""The exceptions of this package, and how their messages quote values.
 
 The command line turns each error into one line and an exit code.
 """
@@ -10,7 +10,7 @@ _LONGEST_LIST = 20
 
 
 class PipelineError(Exception):
-    """A fault that its reader can mend: the message names the file, the key or step, the number and the remedy."""
+    """A fault that the user can mend: the message names the file, the key or step, the number and the remedy."""
 
     exit_code = 2
 
@@ -28,7 +28,7 @@ class SeriesError(PipelineError):
 
 
 class SolveError(PipelineError):
-    """A step could not be computed; what was computed before it stands."""
+    """A step could not be computed; the results before it are kept."""
 
     exit_code = 3
 
@@ -40,7 +40,7 @@ class OutputError(PipelineError):
 
 
 def quote_value(value: object) -> str:
-    """A value as a message quotes it: one line, printable, at most 60 characters."""
+    """Return a value as messages quote it: one line, printable, at most 60 characters."""
     if isinstance(value, bool):
         return "true" if value else "false"
     try:
@@ -51,14 +51,14 @@ def quote_value(value: object) -> str:
 
 
 def shorten(text: str, longest: int = LONGEST_QUOTE) -> str:
-    """The text, or its beginning, on one line, printable and not longer than that."""
-    text = text[: longest + 1]  # escaped, it only becomes longer
+    """Return the text, or its beginning, on one line, printable and not longer than `longest`."""
+    text = text[: longest + 1]  # escaping can only lengthen it
     text = text if text.isprintable() else ascii(text)[1:-1]
     return text if len(text) <= longest else text[: longest - 3] + "..."
 
 
 def join_names(names: Iterable[str]) -> str:
-    """Names as a message lists them: joined by commas, each shortened, at most 20 of them."""
+    """Return names as messages list them: separated by commas, each shortened, at most 20 of them."""
     texts = [shorten(name) for name in names]
     more = len(texts) - _LONGEST_LIST
     return ", ".join(texts[:_LONGEST_LIST]) + (f" and {more} more" if more > 0 else "")

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.analysis.node_distance import NodeDistance, write_node_distances
 from pipeline.arrays import Floats
 from pipeline.errors import OutputError, SeriesError
-from pipeline.formats.atomic import whole_file
+from pipeline.formats.atomic import replace_file
 from pipeline.formats.netcdf import NETCDF_LOCK, NetcdfVariable, create_dataset
 from pipeline.run.frame import Values
 from pipeline.run.measures import AXES, QUANTILES, VARIABLES
@@ -173,7 +173,7 @@ def _open_statistics(paths: Mapping[str, Path]) -> Iterator[dict[str, Statistics
 def _write_to(path: Path) -> Iterator[Path]:
     """Yield a hidden name that replaces `path` in the end; raises OutputError if netCDF cannot write."""
     try:
-        with whole_file(path) as hidden:
+        with replace_file(path) as hidden:
             yield hidden
     except RuntimeError as error:  # netCDF's own error, as for a full disk
         raise OutputError(f"{path}: cannot be written ({error})") from error

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.formats.atomic import whole_file
+from pipeline.formats.atomic import replace_file
 from pipeline.run.frame import Frame, Values
 from pipeline.run.recording import RunSummary, record
 from pipeline.series import Series
@@ -23,7 +23,7 @@ def write_statistics(series: Series, path: Path, on_frame: Callable[[int, int], 
         if on_frame is not None:
             on_frame(frame.index + 1, len(series))
 
-    with whole_file(path) as hidden:
+    with replace_file(path) as hidden:
         return record(iter(series), [_SteadySink(NetcdfSink(hidden, title=series.name))], on_frame=report)
 
 

@@ -1,1 +1,1 @@
-"""Files of other programs as plain arrays: what they claim is checked, then a child process reads them."""
+"""Files to plain arrays and back, a module a format; foreign files are checked, then read by a child process."""

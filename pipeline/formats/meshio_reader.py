@@ -1,4 +1,4 @@
-"""Meshes as meshio reads them, as plain arrays."""
+"""Meshes as plain arrays, from every format that meshio reads."""
 
 import io
 import warnings
@@ -11,43 +11,43 @@ import numpy as np
 
 from pipeline.errors import MeshError, shorten
 
-SIMPLICES = {2: "triangle", 3: "tetra"}  # meshio's names
-# kind, dimension, count, and the nodes (count, corners) where they are linear simplices
+SIMPLEX_NAMES = {2: "triangle", 3: "tetra"}  # meshio's, by dimension
+# cell type, dimension, count, and the nodes (count, corners) of linear simplices, None for other types
 CellBlock = tuple[str, int, int, Any]
 
 
-def plain_mesh(path: Path) -> tuple[Any, list[CellBlock], str]:
-    """Return points (n, 2 or 3), the blocks of cells, and what meshio would have printed; raises MeshError.
+def read_plain_mesh(path: Path) -> tuple[Any, list[CellBlock], str]:
+    """Return points (n, 2 or 3), the blocks of cells, and the text that meshio printed; raises MeshError.
 
-    meshio prints, warns and, where no reader takes the file, exits; its readers raise whatever their parser does.
+    meshio prints, warns, and exits if no reader accepts the file; its readers let through the errors of their parsers.
     """
-    said = io.StringIO()
+    printed = io.StringIO()
     try:
-        with redirect_stdout(said), redirect_stderr(said), warnings.catch_warnings():
+        with redirect_stdout(printed), redirect_stderr(printed), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            raw = _parsed(path)
-            points = np.ascontiguousarray(raw.points, dtype=np.float64)
-            blocks = [_block(block) for block in raw.cells if len(block.data)]
+            mesh = _read_mesh(path)
+            points = np.ascontiguousarray(mesh.points, dtype=np.float64)
+            blocks = [_make_block(block) for block in mesh.cells if len(block.data)]
     except MemoryError:
         raise
     except (Exception, SystemExit) as error:
-        why = said.getvalue() if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
+        reason = printed.getvalue() if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
         missing = f"; pip install {error.name}" if isinstance(error, ModuleNotFoundError) else ""
-        # the parser of a text file may quote all of it; the first words say what it stumbled on
-        raise MeshError(f"{path}: meshio cannot read it ({shorten(' '.join(why.split()), 300)}){missing}") from error
-    return points, blocks, " ".join(said.getvalue().split())
+        # the parser of a text file may quote all of it; the first words are enough
+        raise MeshError(f"{path}: meshio cannot read it ({shorten(' '.join(reason.split()), 300)}){missing}") from error
+    return points, blocks, " ".join(printed.getvalue().split())
 
 
-def _block(block: Any) -> CellBlock:
-    simplices = block.type in SIMPLICES.values()
-    cells = np.ascontiguousarray(block.data, dtype=np.int64) if simplices else None
+def _make_block(block: Any) -> CellBlock:
+    is_simplex = block.type in SIMPLEX_NAMES.values()
+    cells = np.ascontiguousarray(block.data, dtype=np.int64) if is_simplex else None
     return str(block.type), int(block.dim), len(block.data), cells
 
 
-def _parsed(path: Path) -> Any:
-    """Return meshio's mesh, of a gmsh 4.1 file also where only some entities are in a physical group.
+def _read_mesh(path: Path) -> Any:
+    """Return meshio's mesh, also of a gmsh 4.1 file in which only some entities belong to a physical group.
 
-    meshio 5.3 wants a group for all of them or for none; without the section $Entities it knows of none.
+    meshio 5.3 requires a group for all of them or for none; without the section $Entities it sees none.
     """
     import meshio
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pipeline.errors import SeriesError
-from pipeline.formats.atomic import whole_file
+from pipeline.formats.atomic import replace_file
 
 if TYPE_CHECKING:
     import xarray
@@ -93,7 +93,7 @@ def read_dataset(path: str | os.PathLike[str]) -> "xarray.Dataset":
 
 def write_dataset(dataset: "xarray.Dataset", path: str | os.PathLike[str]) -> None:
     """Write a dataset as one whole netCDF file; raises OutputError."""
-    with NETCDF_LOCK, whole_file(Path(path)) as hidden:
+    with NETCDF_LOCK, replace_file(Path(path)) as hidden:
         # CF allows no fill value on a coordinate; xarray writes one on every float
         no_fill_values = {str(name): {"_FillValue": None} for name in dataset.coords}
         dataset.to_netcdf(hidden, engine="netcdf4", format="NETCDF4", encoding=no_fill_values)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Fields, Ints
-from pipeline.formats.atomic import whole_file
+from pipeline.formats.atomic import replace_file
 from pipeline.formats.cell_types import CELL_TYPES
 
 _GROUPS = ("turns/even", "turns/odd")
@@ -88,7 +88,7 @@ def lay_out_file(
     import h5py
 
     # the oldest layout: every reader knows it, and a kill leaves no mark "open" in it
-    with whole_file(path) as hidden, h5py.File(hidden, "w", libver="earliest") as file:
+    with replace_file(path) as hidden, h5py.File(hidden, "w", libver="earliest") as file:
         root, other = (file.create_group(group) for group in _GROUPS)
         _lay_out_cells(root, cells, rest)
         _lay_out_frames(root, arrays, room)

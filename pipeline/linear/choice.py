@@ -21,7 +21,7 @@ from pipeline.linear.cg import Frames
 from pipeline.linear.pardiso import Pardiso, library
 from pipeline.linear.rest_preconditioner import factor_kind
 from pipeline.linear.work import Work
-from pipeline.system.memory import installed_bytes
+from pipeline.system.memory import read_installed_bytes
 
 # [MB] of a double precision band. A matrix that stays is factored once: reading its band is what counts. One that
 # changes is factored every step, which costs the band's width more; from here on one factor, warped, is faster.
@@ -105,7 +105,7 @@ def choice(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[
     why = f"the matrix {kind}; its band would take {band:.3g} MB, more than {most:g}"
     stiff = f"h omega_max is up to {stiffness:.3g}"
     if constant and mkl:
-        factor, half = factor_bytes(pattern, "pardiso"), _MOST_OF_MEMORY * installed_bytes()
+        factor, half = factor_bytes(pattern, "pardiso"), _MOST_OF_MEMORY * read_installed_bytes()
         if factor <= min(half, _PAID_FACTOR):
             return "pardiso", f"{why}; MKL is installed"
         limit = f"half of the memory, {half / 1e9:.3g}" if half < _PAID_FACTOR else f"{_PAID_FACTOR / 1e9:.3g}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, join_names, shorten
-from pipeline.formats.meshio_reader import SIMPLICES, CellBlock
+from pipeline.formats.meshio_reader import SIMPLEX_NAMES, CellBlock
 from pipeline.formats.preflight import find_refusal
 from pipeline.formats.sandbox import SHARED_READER
 from pipeline.mesh.cleanup import (
@@ -56,7 +56,7 @@ def _read(path: Path) -> tuple[Floats, list[CellBlock], str]:
         raise MeshError(f"{path}: the file is empty")
     if why := find_refusal(path):
         raise MeshError(f"{path}: {why}")
-    points, blocks, said = SHARED_READER.read("pipeline.formats.meshio_reader:plain_mesh", path, error=MeshError)
+    points, blocks, said = SHARED_READER.read("pipeline.formats.meshio_reader:read_plain_mesh", path, error=MeshError)
     return points, blocks, said
 
 
@@ -64,7 +64,7 @@ def _simplices(points: Floats, blocks: Sequence[CellBlock]) -> tuple[Floats, Int
     """Return points (n, 2 or 3), the simplices of the highest dimension and a note of what else was dropped."""
     d = max((dimension for _, dimension, *_ in blocks), default=0)
     top = {kind for kind, dimension, *_ in blocks if dimension == d}
-    if top != {SIMPLICES.get(d)}:
+    if top != {SIMPLEX_NAMES.get(d)}:
         raise MeshError(f"has {_listed(kind for kind, *_ in blocks)}; {_NEEDED}{_remedy(top, d)}")
     if points.ndim != 2 or points.shape[1] not in (d, 3):
         raise MeshError(f"points {points.shape} do not go with {CELL_NAMES[d]} cells")
@@ -91,7 +91,7 @@ def _remedy(kinds: set[str], d: int) -> str:
         return ""
     if any(kind.startswith("VTK_LAGRANGE") or kind.strip("abcdefghijklmnopqrstuvwxyz") for kind in kinds):
         return "; save it with cells of first order (gmsh: Mesh.ElementOrder = 1)"
-    return f"; split the others into {SIMPLICES[d]} cells (pyvista: grid.triangulate())"
+    return f"; split the others into {SIMPLEX_NAMES[d]} cells (pyvista: grid.triangulate())"
 
 
 def _planar(points: Floats) -> Floats:

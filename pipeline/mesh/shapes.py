@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, quote_value
 from pipeline.mesh.simplex import Mesh, signed_volumes
-from pipeline.system.memory import free_bytes
+from pipeline.system.memory import read_free_bytes
 
 # split of a cell into simplices along the diagonal from its low to its high corner; `alternating` mirrors every other
 # cell, which takes away the bias of one diagonal direction
@@ -45,7 +45,7 @@ def _grid(size: Sequence[float], cells: Sequence[int], split: str, *, dimension:
 def _check_memory(cells: Sequence[int], dimension: int) -> None:
     """Raise MeshError for a mesh that is larger than the memory that is free: the system would end the process."""
     simplices = prod(cells) * factorial(dimension)
-    needed, free = simplices * _BYTES, free_bytes()
+    needed, free = simplices * _BYTES, read_free_bytes()
     if needed > free:
         raise MeshError(
             f"{simplices} cells take {needed / 1e9:.3g} GB to build and more to solve; {free / 1e9:.3g} GB of memory "

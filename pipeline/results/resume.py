@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.case import OutputSpec
 from pipeline.errors import SeriesError
-from pipeline.formats.atomic import whole_file
+from pipeline.formats.atomic import replace_file
 from pipeline.formats.grid import Grid
 from pipeline.formats.netcdf import NETCDF_LOCK
 from pipeline.mesh.simplex import Mesh
@@ -67,7 +67,7 @@ def frame_times(count: int, problem: Problem) -> list[float]:
 
 def _rebuild_statistics(folder: Path, problem: Problem, output: OutputSpec, count: int, title: str) -> None:
     """Write statistics.nc of the first `count` frames from their files; raises SeriesError, OutputError."""
-    places = [FORMATS[output.format].place(index) for index in range(count)]
+    places = [FORMATS[output.format].locate(index) for index in range(count)]
     files = tuple(folder / name for name, _ in places)
     for file in files:
         if not file.is_file():
@@ -79,7 +79,7 @@ def _rebuild_statistics(folder: Path, problem: Problem, output: OutputSpec, coun
     rounded = output.precision == "float32"
     with ExitStack() as stack:
         old = stack.enter_context(_open_old_statistics(path, count)) if rounded else None
-        sink = NetcdfSink(stack.enter_context(whole_file(path)), title=title)
+        sink = NetcdfSink(stack.enter_context(replace_file(path)), title=title)
         stack.callback(sink.close)
         for index in range(count):
             grid = series.read_grid(index)

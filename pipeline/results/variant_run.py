@@ -148,7 +148,7 @@ class VariantRun:
         written = next_frame_index(began, self.problem) if began else 0
         output, times = self.case.output, frame_times(written, self.problem)
         sinks: list[Sink] = [
-            FORMATS[output.format].sink(self.folder, times, output.precision, self.problem.frame_count),
+            FORMATS[output.format].make_sink(self.folder, times, output.precision, self.problem.frame_count),
             NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
         ]
         beside = len(self.problem.body.mesh.cells) >= WORTH_A_PROCESS

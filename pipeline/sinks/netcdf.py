@@ -14,11 +14,11 @@ from pipeline.run.frame import Frame, Values
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES, attributes
 
 _CHUNK = 256  # frames; the default of one would make a chunk, and its index entry, of every number
-_CELLS_CHUNK = 2048  # numbers of cells, where a frame has fewer: the index of chunks is kept in memory
+_CELLS_CHUNK = 2048  # values of cells, if a frame has fewer: the index of chunks is kept in memory
 
 
 class NetcdfSink:
-    """Appends frames to one netCDF file (CF-1.11, float64), a new one unless `earlier` frames are in it."""
+    """Appends frames to a netCDF file (CF-1.11, float64), a new one unless it has `earlier` frames."""
 
     def __init__(self, path: str | os.PathLike[str], *, title: str, earlier: int = 0) -> None:
         self.path = Path(path)
@@ -33,8 +33,8 @@ class NetcdfSink:
                 self._append(frame, measured)
         except UnicodeError as error:
             raise OutputError(
-                f"{self.path}: the locale's encoding, which netCDF uses, has not all of this name's letters; "
-                "set PYTHONUTF8=1, or name another folder"
+                f"{self.path}: the locale's encoding, which netCDF uses, lacks letters of this name; "
+                "set PYTHONUTF8=1, or choose another folder"
             ) from error
         except (OSError, RuntimeError) as error:
             raise OutputError(f"{self.path}: cannot be written ({error})") from error
@@ -43,7 +43,7 @@ class NetcdfSink:
     def _append(self, frame: Frame, measured: Values) -> None:
         if self._dataset is None:
             self._dataset = self._open(frame.mesh, measured)
-            _keep_little(self._dataset)
+            _limit_caches(self._dataset)
         self._dataset["time"][self._count] = frame.time
         for name, value in measured.items():
             if name in VARIABLES:
@@ -52,7 +52,7 @@ class NetcdfSink:
         self._dataset.sync()
 
     def _write_steps(self, last: int, measured: Values) -> None:
-        """Append what is known of the steps since the frame before; none has led to the first frame."""
+        """Append the numbers of the steps since the previous frame; there are none before the first."""
         for name in [name for name in STEPS if name in measured] if last else ():  # in this order: the same bytes
             first = last - len(measured[name])
             self._dataset[name][first:last] = measured[name]
@@ -77,15 +77,15 @@ class NetcdfSink:
                 raise OutputError(f"{self.path}: cannot be closed ({error})") from error
 
 
-def _keep_little(dataset: Any) -> None:
-    """Let each field of cells keep two chunks in memory: by default each keeps many, which are not read again.
+def _limit_caches(dataset: Any) -> None:
+    """Let each field of cells keep two chunks in memory, as chunks are not read again; the default is many.
 
-    And do not look for masks, which nothing here has.
+    Masks, which no variable here has, are not looked for.
     """
     dataset.set_auto_maskandscale(False)
-    for one in dataset.variables.values():
-        if {"time", "cell"} <= set(one.dimensions):
-            one.set_var_chunk_cache(size=2 * 8 * prod(one.chunking()))
+    for variable in dataset.variables.values():
+        if {"time", "cell"} <= set(variable.dimensions):
+            variable.set_var_chunk_cache(size=2 * 8 * prod(variable.chunking()))
 
 
 def _create(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:

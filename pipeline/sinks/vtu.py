@@ -29,14 +29,14 @@ class VtuSink:
         self.folder = Path(folder)
         self.index = self.folder / "series.pvd"
         self.precision = precision
-        self._rows = bytearray(encode_pvd_rows((t, frame_file(index)) for index, t in enumerate(earlier)))
+        self._rows = bytearray(encode_pvd_rows((t, name_frame_file(index)) for index, t in enumerate(earlier)))
         self._indexed_at = -np.inf
         self._mesh: Mesh | None = None
         self._static: StaticParts
 
     def write(self, frame: Frame, measured: Values) -> None:
         """Write one whole frame; the index follows within a second."""
-        name = frame_file(frame.index)
+        name = name_frame_file(frame.index)
         write_whole(self.folder / name, self._encode(frame, measured))
         self._rows += encode_pvd_rows([(frame.time, name)])
         if time.monotonic() - self._indexed_at >= _INDEX_SECONDS:
@@ -61,6 +61,6 @@ class VtuSink:
         return encode_vtu(fields.points, fields.nodal, fields.cellular, fields.numbers, self._static)
 
 
-def frame_file(index: int) -> str:
+def name_frame_file(index: int) -> str:
     """Name of a frame's file within the folder of the run."""
     return f"frames/frame_{index:06d}.vtu"

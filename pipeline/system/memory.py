@@ -1,22 +1,22 @@
-"""The memory of this machine, as far as the system tells."""
+"""The memory of this machine, as reported by the operating system."""
 
 import math
 import os
 
 
-def installed_bytes() -> float:
-    """Return the bytes of memory there are; infinite where the system does not say."""
+def read_installed_bytes() -> float:
+    """Return the installed memory [bytes], infinite if the system does not report it."""
     try:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, OSError, ValueError):
         return math.inf
 
 
-def free_bytes() -> float:
-    """Return the bytes of memory that are free; infinite where the system does not say."""
+def read_free_bytes() -> float:
+    """Return the free memory [bytes], infinite if the system does not report it."""
     try:
-        with open("/proc/meminfo") as opened:
-            found = [line.split()[1] for line in opened if line.startswith("MemAvailable:")]
-        return float(found[0]) * 1024
+        with open("/proc/meminfo") as meminfo:
+            kilobytes = [line.split()[1] for line in meminfo if line.startswith("MemAvailable:")]
+        return float(kilobytes[0]) * 1024
     except (OSError, IndexError, ValueError):
         return math.inf

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.formats.atomic import whole_file
+from pipeline.formats.atomic import replace_file
 from pipeline.views.palette import INK, SOFT
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def open_figure(
         if title:
             figure.suptitle(title, fontsize=14, fontweight="bold", color=INK)
         yield figure
-        with whole_file(path) as temporary:
+        with replace_file(path) as temporary:
             # no version in the file: the same results are the same bytes
             figure.savefig(temporary, metadata={"Software": None} if path.suffix == ".png" else None)
 

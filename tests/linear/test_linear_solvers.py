@@ -103,7 +103,7 @@ def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypa
     monkeypatch.setattr(linear_solve, "_CONSTANT_BAND", 1.0)
     assert chosen(large, constant=True) == "pardiso"
     with monkeypatch.context() as small_machine:
-        small_machine.setattr(linear_solve, "installed_bytes", lambda: 1e6)
+        small_machine.setattr(linear_solve, "read_installed_bytes", lambda: 1e6)
         assert chosen(large, constant=True) == "multigrid"
         assert " GB, more than half of the memory, 0.0005; " in reasons[-1]
     with monkeypatch.context() as few_steps:

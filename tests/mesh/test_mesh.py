@@ -173,7 +173,7 @@ def test_a_file_that_is_no_mesh_is_one_line_and_the_library_prints_nothing(tmp_p
 
 
 def test_a_shape_larger_than_the_memory_is_refused_before_it_is_built(monkeypatch):
-    monkeypatch.setattr(shapes, "free_bytes", lambda: 1e6)
+    monkeypatch.setattr(shapes, "read_free_bytes", lambda: 1e6)
     with pytest.raises(MeshError, match=r"6000 cells take 0.00162 GB to build and more to solve; 0.001 GB of memory"):
         shapes.box((1, 1, 1), (10, 10, 10))
     monkeypatch.undo()

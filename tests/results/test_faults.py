@@ -291,7 +291,8 @@ THREADS = """
 import shutil, sys
 from pathlib import Path
 from threading import Thread
-from pipeline import load_case, variant_run
+from pipeline import load_case
+from pipeline.results import variant_run
 from pipeline.results.analysis_folder import compare
 from pipeline.results.case_run import run_case
 from pipeline.series import read_series

@@ -29,7 +29,7 @@ def test_memory_is_flat_over_thousands_of_frames(tmp_path, monkeypatch, name):
     path = write_case(tmp_path, mesh=mesh, supports=[{"plane": "y", "at": 12.0}],
                       schedule={"dt": 0.01, "frames": count}, output={"format": name})  # fmt: skip
     problem = build(load_case(path).variant("polar"))
-    sinks = [FORMATS[name].sink(tmp_path, [], "float64", count + 1), NetcdfSink(tmp_path / "s.nc", title="long")]
+    sinks = [FORMATS[name].make_sink(tmp_path, [], "float64", count + 1), NetcdfSink(tmp_path / "s.nc", title="long")]
     seen = {}
 
     def look(frame, summary):

@@ -75,7 +75,7 @@ def test_the_dataset_is_float64_whatever_the_frames_are(tmp_path, output):
         xarray.open_dataset(usual.folder / "statistics.nc") as theirs,
     ):
         xarray.testing.assert_identical(ours, theirs)
-    assert any("statistics.nc cannot be made again" in note for note in found.run["notes"]) == ("float32" in output)
+    assert any("statistics.nc cannot be rebuilt" in note for note in found.run["notes"]) == ("float32" in output)
     assert (found.folder / FORMATS[OUTPUTS[output].get("format", "vtu")].index).exists()
     points = {folder: read_series(folder).read_grid(5).points for folder in (found.folder, usual.folder)}
     assert points[found.folder] == pytest.approx(points[usual.folder], rel=1e-6, abs=1e-6)

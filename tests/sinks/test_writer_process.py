@@ -127,7 +127,7 @@ def test_files_are_the_same_as_written_in_between(tmp_path, shared, name):
     case = load_case(write_case(tmp_path, schedule={"dt": 0.01, "frames": 8}))
     for folder, record in ((tmp_path / "a", Recording), (tmp_path / "b", shared.start_recording)):
         folder.mkdir()
-        sinks = [FORMATS[name].sink(folder, [], "float64", 9), NetcdfSink(folder / "statistics.nc", title="same")]
+        sinks = [FORMATS[name].make_sink(folder, [], "float64", 9), NetcdfSink(folder / "statistics.nc", title="same")]
         drive(frames(build(case.variant("polar"))), record(sinks))
     assert len(contents(tmp_path / "a")) == (11 if name == "vtu" else 2)
     assert contents(tmp_path / "a") == contents(tmp_path / "b")

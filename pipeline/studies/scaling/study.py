@@ -22,7 +22,7 @@ import numpy as np
 
 from pipeline.case import Case
 from pipeline.errors import CaseError, OutputError, quote_value
-from pipeline.formats.atomic import whole_file, write_whole
+from pipeline.formats.atomic import replace_file, write_whole
 from pipeline.studies.scaling.peers import INSTALL, PEERS, list_installed
 from pipeline.studies.scaling.step_cost import METHODS
 
@@ -205,7 +205,7 @@ def _write_figure(rows: Sequence[CostRow], path: Path) -> None:
         axes.set_title(title, loc="left", fontsize=10)
         axes.grid(visible=True, which="major", color="#e3e5ea")
         axes.legend(frameon=False, loc="upper left")
-        with whole_file(path) as hidden:
+        with replace_file(path) as hidden:
             figure.savefig(hidden, metadata={"Software": None})
 
 

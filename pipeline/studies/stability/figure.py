@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.formats.atomic import whole_file
+from pipeline.formats.atomic import replace_file
 from pipeline.studies.stability.slices import METHODS, SLICES
 from pipeline.studies.stability.trial import OUTCOMES, REFUSED
 
@@ -47,7 +47,7 @@ def write_stability_figure(study: "Stability", path: Path) -> None:
             if outcome in seen
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-        with whole_file(path) as temporary:
+        with replace_file(path) as temporary:
             # no version in the file: the same results are the same bytes
             figure.savefig(temporary, metadata={"Software": None})
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.formats.atomic import whole_file
+from pipeline.formats.atomic import replace_file
 from pipeline.series import Series
 from pipeline.studies.thesis.growth_law import Growth
 from pipeline.system.opengl import ensure_opengl
@@ -53,7 +53,7 @@ def write_states_figure(series: Mapping[str, Series], states: Mapping[str, Seque
         scene.close()
     legend = f"colour: blue V/V₀ ≤ {1 - radius:.2f}, grey 1, red ≥ {1 + radius:.2f}; magenta inverted; thin: rest shape"
     draw.text((page.width / 2, page.height - line / 2), legend, "#5a6070", load_font(16), anchor="mm")
-    with whole_file(path) as hidden:
+    with replace_file(path) as hidden:
         page.save(hidden, format="PNG", optimize=True)
 
 
@@ -85,7 +85,7 @@ def write_law_figure(growths: Mapping[str, Growth], path: Path, *, across: str) 
             empty.set_visible(False)
         figure.supxlabel(f"{across} [degrees]", fontsize=10)
         figure.supylabel("volume ratio V / V₀", fontsize=10)
-        with whole_file(path) as hidden:
+        with replace_file(path) as hidden:
             metadata: dict[str, Any] = {"Software": None}  # the same results are the same bytes
             figure.savefig(hidden, metadata=metadata)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from pipeline.case import load_case
 from pipeline.errors import CaseError
-from pipeline.formats.atomic import whole_file
+from pipeline.formats.atomic import replace_file
 from pipeline.studies.tradeoff.settings import Plan, Setting, make_mesh_keys, make_method_keys
 
 NAME = "adequate"
@@ -32,7 +32,7 @@ def write_chosen_variant(plan: Plan, setting: Setting, why: str) -> None:
     lines = [_MARK, f"# {why}", f"[variants.{NAME}]", *keys]
     if not variants:  # a case without variants has one, of this name
         lines[2:2] = ["[variants.default]"]
-    with whole_file(path) as hidden:
+    with replace_file(path) as hidden:
         hidden.write_text("\n".join([kept, "", *lines, ""]), encoding="utf-8")
         try:
             load_case(hidden)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.formats.atomic import whole_file
+from pipeline.formats.atomic import replace_file
 from pipeline.studies.tradeoff.settings import IMPLICIT, MODELS, Setting
 from pipeline.studies.tradeoff.table import ErrorTable, SettingRow
 from pipeline.studies.tradeoff.verdict import find_front, list_choosable, split_error
@@ -46,7 +46,7 @@ def write_front_figure(table: ErrorTable, path: Path) -> None:
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         _draw_costs(left, table)
         _draw_shares(right, table)
-        with whole_file(path) as hidden:
+        with replace_file(path) as hidden:
             metadata: dict[str, Any] = {"Software": None}  # the same results are the same bytes
             figure.savefig(hidden, metadata=metadata)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.errors import OutputError
-from pipeline.formats.atomic import whole_file
+from pipeline.formats.atomic import replace_file
 from pipeline.series import Series
 from pipeline.system.times import TIME_RTOL
 from pipeline.views.camera import fit_camera
@@ -74,7 +74,7 @@ def write_movie(
     with _Studio(tracks, title, size, _describe_speed(line)) as studio:
         moment = find_poster_time(tracks)
         if poster is not None:
-            with whole_file(Path(poster)) as temporary:
+            with replace_file(Path(poster)) as temporary:
                 studio.draw(moment).save(temporary, format="PNG", optimize=True)
         studio.scenes = 0  # those of the film
         with Encoder(Path(path), size, fps) as encoder:
