@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
 from pipeline.fem.element import deformation_gradient, nodal_forces, nodal_sums, stiffness_blocks
-from pipeline.fem.frame_error import Turning, spurious_volume, turning
+from pipeline.fem.frame_error import FrameError, measure_frame_error, spurious_volume
 from pipeline.fem.laws import Law, Tangent
 from pipeline.fem.loads import lumped_mass_pairs
 from pipeline.fem.material import Material
@@ -156,7 +156,7 @@ class Body:
         out[:] = nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
         return out
 
-    def rehearse(self, *, solves: bool = True, turning: bool = False, tangents: bool = False) -> None:
+    def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
         """Have kernels loaded, or compiled, before the steps that will ask for them.
 
         Those of one solve, or of forces alone; on demand those that judge rotations, and those of Newton's method.
@@ -164,23 +164,23 @@ class Body:
         if solves:
             self.momentum(np.zeros_like(self.mesh.points))
 
-    def turn(self, x: Floats, R: Floats) -> float:
+    def update_rotations(self, x: Floats, R: Floats) -> float:
         """Write the law's frame of every cell into R (e, d, d); return the spurious volume of the most turned one."""
         R[:] = self.rotations(x)
         return spurious_volume(float(np.trace(R, axis1=1, axis2=2).min()), x.shape[1])
 
-    def turning(self, x: Floats, used: Floats | None, reached: Floats) -> Turning:
+    def measure_frame_error(self, x: Floats, used: Floats | None, reached: Floats) -> FrameError:
         """Write the rotations at x into reached (e, d, d); return how far they are from those used, None for I."""
-        return turning(self.law, deformation_gradient(self.mesh, x), used, reached)
+        return measure_frame_error(self.law, deformation_gradient(self.mesh, x), used, reached)
 
-    def turning_bound(self, x: Floats) -> float:
-        """Return what the indicator of turning(x, None) does not exceed, without finding rotations.
+    def bound_frame_error(self, x: Floats) -> float:
+        """Return what the indicator of measure_frame_error(x, None) does not exceed, without finding rotations.
 
         It is infinite where nothing can be said.
         """
         return np.inf
 
-    def linearise(self, x: Floats, R: Floats | None = None, kind: Tangent = "frozen") -> tuple[Floats, Floats]:
+    def linearize(self, x: Floats, R: Floats | None = None, kind: Tangent = "frozen") -> tuple[Floats, Floats]:
         """Return the elastic forces (n, d) [N] and the values of K = -df/dx (blocks, d, d) [N/m]."""
         f, K = np.empty_like(x), np.zeros((self.pattern.blocks, x.shape[1], x.shape[1]))
         self.add_stiffness(x, 1.0, f, K, R=R, kind=kind)

@@ -11,20 +11,20 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.fem.assembly import corners_by_row
 from pipeline.fem.body import Body
-from pipeline.fem.frame_error import Turning, indicator, spurious_volume
+from pipeline.fem.frame_error import FrameError, indicator, spurious_volume
 from pipeline.fem.laws import CREASE, Corotational, Law, Linear, Tangent
 from pipeline.fem.rotation import gram_schmidt, polar
 from pipeline.fem.supports import Supports
 from pipeline.mesh.simplex import Mesh
 
-# of the corotational law, by the numbers that rotation_kernels.py has for them, and what the linear law has instead
+# of the corotational law, by their numbers in kernels/rotation.py, and what the linear law has instead
 _ROTATIONS = (polar, gram_schmidt)
 _POLAR, _IDENTITY = 0, 2
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledBody(Body):
-    """The same numbers as Body, to rounding, from kernels.py and, in the plane, plane_kernels.py."""
+    """The same numbers as Body, to rounding, from kernels/tetrahedron.py and, in the plane, kernels/triangle.py."""
 
     @cached_property
     def _rotation(self) -> int:
@@ -38,7 +38,7 @@ class CompiledBody(Body):
         return kernels if self.mesh.dimension == 3 else plane_kernels
 
     @cached_property
-    def _turning_kernels(self) -> Any:
+    def _frame_error_kernels(self) -> Any:
         from pipeline.fem.kernels import frame_error as turning_kernels
         from pipeline.fem.kernels import triangle as plane_kernels
 
@@ -78,24 +78,24 @@ class CompiledBody(Body):
     def _pairs(self) -> np.ndarray:
         return self.assembly.pairs.astype(np.int32)
 
-    def rehearse(self, *, solves: bool = True, turning: bool = False, tangents: bool = False) -> None:
+    def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
         """Call the kernels of a step on no cells: they are compiled, or loaded, here."""
-        super().rehearse(solves=solves)
+        super().warm_up(solves=solves)
         cells, G, V, mu, lam = self._cells
         X, none, nothing = _plain(self.mesh.points), (cells[:0], G[:0], V[:0], mu, lam), self._no_rotations
         self._kernels.energy(X, *none, self._rotation)
         f = np.empty_like(X)
         if solves:
             self._kernels.nodal_rotations(X, *none[:3], nothing)
-            self._kernels.linearise(X, *none, self._rotation, self._pairs[:0], 1.0, False, nothing, f, nothing)
-        if turning:
+            self._kernels.linearize(X, *none, self._rotation, self._pairs[:0], 1.0, False, nothing, f, nothing)
+        if frame_errors:
             self._kernels.rotations(X, *none[:2], self._rotation, nothing)
-            self._turning_kernels.bounds(X, *none[:2], mu, lam)
-            self._turning_kernels.turning(X, *none[:2], mu, lam, nothing, nothing)
+            self._frame_error_kernels.bound_frame_error(X, *none[:2], mu, lam)
+            self._frame_error_kernels.measure_frame_error(X, *none[:2], mu, lam, nothing, nothing)
         if tangents or not solves:
             self._kernels.force(X, *none, self._rotation, f)
         if tangents:
-            self._tangent_kernels.add_turning(X, *none, self._pairs[:0], 1.0, CREASE, False, nothing)
+            self._tangent_kernels.add_rotation_stiffness(X, *none, self._pairs[:0], 1.0, CREASE, False, nothing)
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, d)."""
@@ -104,7 +104,7 @@ class CompiledBody(Body):
     def rotations(self, x: Floats) -> Floats:
         """Return the law's rotation of every cell (e, d, d)."""
         R = np.empty((len(self.mesh.cells), *self._no_rotations.shape[1:]))
-        self.turn(x, R)
+        self.update_rotations(x, R)
         return R
 
     def nodal_rotations(self, x: Floats, out: Floats | None = None) -> Floats:
@@ -113,25 +113,27 @@ class CompiledBody(Body):
         self._kernels.nodal_rotations(_plain(x), *self._cells[:3], R)
         return R
 
-    def turn(self, x: Floats, R: Floats) -> float:
+    def update_rotations(self, x: Floats, R: Floats) -> float:
         """Write the law's rotations into R (e, d, d); return the spurious volume of the most turned one."""
         return spurious_volume(self._kernels.rotations(_plain(x), *self._cells[:2], self._rotation, R), x.shape[1])
 
-    def turning(self, x: Floats, used: Floats | None, reached: Floats) -> Turning:
+    def measure_frame_error(self, x: Floats, used: Floats | None, reached: Floats) -> FrameError:
         """Write the rotations at x into reached (e, d, d); return how far they are from those used, None for I."""
         if self._rotation != _POLAR:
-            return super().turning(x, used, reached)
+            return super().measure_frame_error(x, used, reached)
         cells, G, _, mu, lam = self._cells
         before, d = self._no_rotations if used is None else used, x.shape[1]
-        trace, stress, own = self._turning_kernels.turning(_plain(x), cells, G, mu, lam, before, reached)
-        return Turning(indicator(trace, d, stress, self.material), spurious_volume(own, d))
+        trace, stress, own = self._frame_error_kernels.measure_frame_error(
+            _plain(x), cells, G, mu, lam, before, reached
+        )
+        return FrameError(indicator(trace, d, stress, self.material), spurious_volume(own, d))
 
-    def turning_bound(self, x: Floats) -> float:
-        """Return what the indicator of turning(x, None) does not exceed, without finding rotations."""
+    def bound_frame_error(self, x: Floats) -> float:
+        """Return what the indicator of measure_frame_error(x, None) does not exceed, without finding rotations."""
         if self._rotation != _POLAR:
-            return super().turning_bound(x)
+            return super().bound_frame_error(x)
         cells, G, _, mu, lam = self._cells
-        tangent, stress = self._turning_kernels.bounds(_plain(x), cells, G, mu, lam)
+        tangent, stress = self._frame_error_kernels.bound_frame_error(_plain(x), cells, G, mu, lam)
         cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, by that of its half
         return indicator(2 * cosine + x.shape[1] - 2, x.shape[1], stress, self.material)
 
@@ -151,10 +153,10 @@ class CompiledBody(Body):
             super().add_stiffness(x, scale, f, A, R=R, kind=kind)
             return
         x, used = _plain(x), self._no_rotations if R is None else _plain(R)
-        self._kernels.linearise(x, *self._cells, self._rotation, self._pairs, scale, R is not None, used, f, A)
+        self._kernels.linearize(x, *self._cells, self._rotation, self._pairs, scale, R is not None, used, f, A)
         if kind != "frozen":
             projected = kind == "projected"
-            self._tangent_kernels.add_turning(x, *self._cells, self._pairs, scale, CREASE, projected, A)
+            self._tangent_kernels.add_rotation_stiffness(x, *self._cells, self._pairs, scale, CREASE, projected, A)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +166,7 @@ class LinearBody(CompiledBody):
     @cached_property
     def stiffness(self) -> Floats:
         """Return the values of K (blocks, d, d) [N/m], summed over the cells once."""
-        return self.linearise(self.mesh.points)[1]
+        return self.linearize(self.mesh.points)[1]
 
     @cached_property
     def _u(self) -> Floats:
@@ -182,7 +184,7 @@ class LinearBody(CompiledBody):
         u = np.subtract(x, self.mesh.points, out=self._u)
         return 0.5 * float(np.vdot(u, self.product(self.stiffness, u)))
 
-    def rehearse(self, *, solves: bool = True, turning: bool = False, tangents: bool = False) -> None:
+    def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
         """Sum the stiffness; have its product loaded, or compiled."""
         self.momentum(np.zeros_like(self.mesh.points))
         self.energy(self.mesh.points)

@@ -20,7 +20,7 @@ from pipeline.fem.material import Material
 _WEIGHT = {2: 8 / 3, 3: 4 / 3}
 
 
-class Turning(NamedTuple):
+class FrameError(NamedTuple):
     """The indicator of (used, reached), and the spurious volume of (I, reached): what the linear law would have."""
 
     indicator: float
@@ -38,7 +38,7 @@ def indicator(trace: float, d: int, stress: float, material: Material) -> float:
     return max(spurious_volume(trace, d), _WEIGHT[d] * stress / (2 * material.mu + material.lam))
 
 
-def turning(law: Law, F: Floats, used: Floats | None, reached: Floats) -> Turning:
+def measure_frame_error(law: Law, F: Floats, used: Floats | None, reached: Floats) -> FrameError:
     """Write the rotations of the gradients F (e, d, d) into reached; return their turning from those used.
 
     None stands for identities.
@@ -50,4 +50,4 @@ def turning(law: Law, F: Floats, used: Floats | None, reached: Floats) -> Turnin
     stray = law.stress(F, reached) - law.stress(F, U)
     stress = float(np.sqrt((stray**2).sum(axis=(1, 2))).max())
     own = float(np.trace(reached, axis1=1, axis2=2).min())
-    return Turning(indicator(trace, d, stress, law.material), spurious_volume(own, d))
+    return FrameError(indicator(trace, d, stress, law.material), spurious_volume(own, d))

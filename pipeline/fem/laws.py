@@ -95,11 +95,11 @@ class Corotational:
 
     def energy_density(self, F: Floats, R: Floats) -> Floats:
         """Return W (e,) [J/m3] of the strain in the frame R."""
-        return _energy(_strain(_transposed(R) @ F), self.material)
+        return _energy(_strain(_transpose(R) @ F), self.material)
 
     def stress(self, F: Floats, R: Floats) -> Floats:
         """Return P = R (2 mu e + lam tr(e) I) [Pa]."""
-        return R @ _stress(_strain(_transposed(R) @ F), self.material)
+        return R @ _stress(_strain(_transpose(R) @ F), self.material)
 
     def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen") -> Floats:
         """Return dP/dF [Pa]; `exact` and `projected` hold for the polar R only."""
@@ -109,24 +109,24 @@ class Corotational:
         frozen = R[:, None, None] @ half  # R_kK R_iI C_IJKL
         if kind == "frozen":
             return frozen
-        weight, t = self._turning(F, R)
+        weight, t = self._find_rotation_modes(F, R)
         if kind == "projected":
             weight = np.maximum(weight, 0.0)
         t = t.reshape(len(F), -1, d * d)
         return frozen + (np.swapaxes(t, 1, 2) @ (weight[:, :, None] * t)).reshape(frozen.shape)
 
-    def _turning(self, F: Floats, R: Floats) -> tuple[Floats, Floats]:
+    def _find_rotation_modes(self, F: Floats, R: Floats) -> tuple[Floats, Floats]:
         """Return mu + c/A_i (e, m) and the t_i (e, m, d, d) for which t_i : dF = q_i . axial(R^T dF - dF^T R)."""
         mu, lam = self.material.mu, self.material.lam
         d = F.shape[-1]
-        S = _strain(_transposed(R) @ F) + np.eye(d)
+        S = _strain(_transpose(R) @ F) + np.eye(d)
         trace = np.trace(S, axis1=1, axis2=2)
         c = (lam * (trace - d) - 2 * mu)[:, None]
         if d == 2:
-            A, t = trace[:, None], (R @ _TURN_2D)[:, None]
+            A, t = trace[:, None], (R @ _SKEW_2D)[:, None]
         else:
             A, q = np.linalg.eigh(trace[:, None, None] * np.eye(3) - S)
-            t = R[:, None] @ np.tensordot(np.swapaxes(q, 1, 2), _TURNS_3D, axes=1)
+            t = R[:, None] @ np.tensordot(np.swapaxes(q, 1, 2), _SKEW_3D, axes=1)
         return mu + c / np.maximum(A, np.maximum(np.abs(c) / (CREASE * mu), np.finfo(float).tiny)), t
 
 
@@ -138,8 +138,8 @@ def isotropic(d: int, material: Material) -> Floats:
 
 
 # component m of axial(R^T dF - dF^T R) is (R W_m) : dF, with these W_m
-_TURN_2D = np.array([[0.0, -1.0], [1.0, 0.0]])
-_TURNS_3D = np.array(
+_SKEW_2D = np.array([[0.0, -1.0], [1.0, 0.0]])
+_SKEW_3D = np.array(
     [
         [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
         [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
@@ -149,7 +149,7 @@ _TURNS_3D = np.array(
 
 
 def _strain(F: Floats) -> Floats:
-    return (F + _transposed(F)) / 2 - np.eye(F.shape[-1])
+    return (F + _transpose(F)) / 2 - np.eye(F.shape[-1])
 
 
 def _stress(e: Floats, material: Material) -> Floats:
@@ -161,5 +161,5 @@ def _energy(e: Floats, material: Material) -> Floats:
     return material.mu * (e**2).sum(axis=(1, 2)) + material.lam / 2 * np.trace(e, axis1=1, axis2=2) ** 2
 
 
-def _transposed(F: Floats) -> Floats:
+def _transpose(F: Floats) -> Floats:
     return np.swapaxes(F, -1, -2)

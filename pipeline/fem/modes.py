@@ -43,7 +43,7 @@ def lowest_frequencies(body: Body, count: int = 1) -> tuple[Floats, Floats]:
 
 def _free_matrices(body: Body) -> tuple[csc_array, csc_array]:
     pattern = body.free_pattern
-    _, K = body.linearise(body.mesh.points)
+    _, K = body.linearize(body.mesh.points)
     return csc_array(pattern.matrix(K[: pattern.blocks])), csc_array(pattern.matrix(body.mass[: pattern.blocks]))
 
 

@@ -17,7 +17,7 @@ from pipeline.arrays import Floats
 _NULL = 1e-14
 
 
-def _scaled(F: Floats) -> Floats:
+def _scale_entries(F: Floats) -> Floats:
     """Return F over its largest entry so that no square overflows; a zero matrix becomes the identity."""
     largest = np.abs(F).max(axis=(-2, -1), keepdims=True)
     zero = largest == 0
@@ -27,8 +27,8 @@ def _scaled(F: Floats) -> Floats:
 def polar(F: Floats) -> Floats:
     """Return the closest rotation to each F (e, d, d); where det F < 0 the smallest singular value is flipped."""
     if F.shape[-1] == 2:
-        A = _scaled(F)
-        return _planar(A[..., 0, 0] + A[..., 1, 1], A[..., 1, 0] - A[..., 0, 1])
+        A = _scale_entries(F)
+        return _make_plane_rotations(A[..., 0, 0] + A[..., 1, 1], A[..., 1, 0] - A[..., 0, 1])
     from pipeline.fem.kernels.rotation import polar_rotations
 
     R = np.empty(F.shape)
@@ -38,17 +38,17 @@ def polar(F: Floats) -> Floats:
 
 def polar_by_svd(F: Floats) -> Floats:
     """Return what `polar` does, by the textbook's route: the plain reference of the compiled one."""
-    U, _, Vt = np.linalg.svd(_scaled(F))
+    U, _, Vt = np.linalg.svd(_scale_entries(F))
     U[..., :, -1] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[..., None]
     return np.asarray(U @ Vt)
 
 
 def gram_schmidt(F: Floats) -> Floats:
     """Return the Gram-Schmidt rotation of the columns of each F (e, d, d), T 6.11."""
-    A = _scaled(F)
+    A = _scale_entries(F)
     r0 = _orthonormal(A[..., :, 0], [])
     if F.shape[-1] == 2:
-        return _planar(r0[..., 0], r0[..., 1])
+        return _make_plane_rotations(r0[..., 0], r0[..., 1])
     r1 = _orthonormal(A[..., :, 1], [r0])
     return np.stack([r0, r1, np.cross(r0, r1)], axis=-1)
 
@@ -66,7 +66,7 @@ def axial(W: Floats) -> Floats:
     return np.stack([W[..., 2, 1], W[..., 0, 2], W[..., 1, 0]], axis=-1)
 
 
-def _planar(cosine: Floats, sine: Floats) -> Floats:
+def _make_plane_rotations(cosine: Floats, sine: Floats) -> Floats:
     """Return the plane rotations (e, 2, 2) along (cosine, sine), the identity where both vanish."""
     length = np.hypot(cosine, sine)
     null = length <= _NULL

@@ -18,7 +18,7 @@ from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
 from pipeline.linear.work import Work
 
-Factor = TypeVar("Factor")
+AnyFactor = TypeVar("AnyFactor")
 # single precision may lose what keeps a matrix definite: the mass of a free, stiff body in long steps
 _SHIFTS = (0.0, 1e-6, 1e-5, 1e-4)
 
@@ -49,7 +49,7 @@ class Band:
         """Return what a factor in double precision takes."""
         return self.size * self.width * 8e-6
 
-    def filled(self, values: Floats, into: np.ndarray) -> np.ndarray:
+    def fill(self, values: Floats, into: np.ndarray) -> np.ndarray:
         """Write the values (blocks, d, d) into a band (size, width) and return it as LAPACK's (width, size)."""
         from pipeline.linear.kernels.vectors import fill
 
@@ -60,11 +60,11 @@ class Band:
         """Return about the Cholesky factor, in single precision; raises SolveError where there is none."""
 
         def with_shift(shift: float) -> np.ndarray:
-            band = self.filled(values, np.empty((self.size, self.width), dtype=np.float32))
+            band = self.fill(values, np.empty((self.size, self.width), dtype=np.float32))
             band[0] *= 1 + shift
-            return factored(band)
+            return factor_band(band)
 
-        return shifted(with_shift)
+        return factor_with_shift(with_shift)
 
 
 _BANDS: WeakKeyDictionary[BlockPattern, Band] = WeakKeyDictionary()
@@ -77,7 +77,7 @@ def band_of(pattern: BlockPattern) -> Band:
     return _BANDS[pattern]
 
 
-def factored(band: np.ndarray) -> np.ndarray:
+def factor_band(band: np.ndarray) -> np.ndarray:
     """Return the Cholesky factor of a lower band (width, size), in its place; raises SolveError where there is none."""
     factor, info = (spbtrf if band.dtype == np.float32 else dpbtrf)(band, lower=1, overwrite_ab=1)
     if info:
@@ -85,7 +85,7 @@ def factored(band: np.ndarray) -> np.ndarray:
     return np.asarray(factor)
 
 
-def shifted(factor: Callable[[float], Factor]) -> Factor:
+def factor_with_shift(factor: Callable[[float], AnyFactor]) -> AnyFactor:
     """Return the factor of a matrix whose diagonal is made larger by the first part of _SHIFTS that does.
 
     Raises SolveError where none does: the matrix is far from positive definite.
@@ -104,12 +104,12 @@ class BandedCholesky:
         self._storage = np.empty((self._band.size, self._band.width))
         self._y = np.empty((pattern.nodes, pattern.dimension))
         d = pattern.dimension
-        self._band.filled(np.zeros((pattern.blocks, d, d)), self._storage)  # the kernel is compiled, or loaded, here
+        self._band.fill(np.zeros((pattern.blocks, d, d)), self._storage)  # the kernel is compiled, or loaded, here
 
     def update(self, values: Floats, frames: object = None) -> Work:
         """Factor the matrix; raises SolveError where it is not positive definite."""
-        self._factor = factored(self._band.filled(values, self._storage))
-        return Work(factorisations=1)
+        self._factor = factor_band(self._band.fill(values, self._storage))
+        return Work(factorizations=1)
 
     def solve(self, b: Floats, x: Floats) -> Work:
         """Write the solution by substitution into x (n, d)."""

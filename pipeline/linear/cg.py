@@ -15,13 +15,13 @@ from pipeline.linear.work import Work
 
 _LIMIT = 2000
 
-Frames = Callable[[Floats], object]  # writes the nodes' rotations (n, d, d)
+NodalRotations = Callable[[Floats], object]  # writes the nodes' rotations (n, d, d)
 
 
 class Preconditioner(Protocol):
     """An approximate inverse of the last matrix that `update` gave it."""
 
-    def update(self, values: Floats, frames: Frames) -> Work:
+    def update(self, values: Floats, frames: NodalRotations) -> Work:
         """Take the matrix with these values (blocks, d, d) and the nodes' rotations where they are of use."""
         ...
 
@@ -51,7 +51,7 @@ class ConjugateGradients:
         kernels.descend(kernels.dot(r, r), self._p, self._Ap, self._z, r)
         kernels.follow(self._z, 0.0, self._p)
 
-    def update(self, values: Floats, frames: Frames) -> Work:
+    def update(self, values: Floats, frames: NodalRotations) -> Work:
         """Take the matrix with these values; they are not copied."""
         self._values = values
         return self.preconditioner.update(values, frames)
@@ -99,7 +99,7 @@ class BlockJacobi:
         invert_blocks(np.eye(d)[None], self._diagonal[:0], self._inverse[:0])
         by_blocks(self._inverse[:0], none, none, none)
 
-    def update(self, values: Floats, frames: Frames) -> Work:
+    def update(self, values: Floats, frames: NodalRotations) -> Work:
         """Invert the diagonal blocks; raises SolveError where one is singular."""
         if not self._invert(values, self._diagonal, self._inverse):
             raise SolveError("a diagonal block of the system's matrix is singular")

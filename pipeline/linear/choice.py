@@ -17,8 +17,8 @@ from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
 from pipeline.linear.banded import band_of
-from pipeline.linear.cg import Frames
-from pipeline.linear.pardiso import Pardiso, library
+from pipeline.linear.cg import NodalRotations
+from pipeline.linear.pardiso import Pardiso, load_mkl
 from pipeline.linear.rest_preconditioner import factor_kind
 from pipeline.linear.work import Work
 from pipeline.system.memory import read_installed_bytes
@@ -47,7 +47,7 @@ _SOFT = 8.0
 class LinearSolver(Protocol):
     """A solver prepared for one pattern; it holds the last matrix that `update` gave it."""
 
-    def update(self, values: Floats, frames: Frames) -> Work:
+    def update(self, values: Floats, frames: NodalRotations) -> Work:
         """Take the matrix with these values (blocks, d, d) and the nodes' rotations where they are of use.
 
         Raises SolveError where the matrix is singular.
@@ -67,7 +67,7 @@ class SuperLU:
     rtol: float
     rest: object = None
 
-    def update(self, values: Floats, frames: Frames) -> Work:
+    def update(self, values: Floats, frames: NodalRotations) -> Work:
         """Factor the matrix."""
         try:
             self._factor = splu(
@@ -78,7 +78,7 @@ class SuperLU:
             )
         except RuntimeError as error:
             raise SolveError(f"the system's matrix is singular ({error})") from error
-        return Work(factorisations=1)
+        return Work(factorizations=1)
 
     def solve(self, b: Floats, x: Floats) -> Work:
         """Write the solution by substitution into x."""
@@ -88,16 +88,16 @@ class SuperLU:
 
 def pardiso_or_lu(pattern: BlockPattern, rtol: float, rest: object) -> LinearSolver:
     """Return MKL's direct solver, or SuperLU where MKL is not installed."""
-    return SuperLU(pattern, rtol, rest) if library() is None else Pardiso(pattern, rtol, rest)
+    return SuperLU(pattern, rtol, rest) if load_mkl() is None else Pardiso(pattern, rtol, rest)
 
 
-def choice(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[str, str]:
+def choose_solver(pattern: BlockPattern, *, constant: bool, stiffness: float) -> tuple[str, str]:
     """Return the name of the solver for a pattern whose matrix stays, or changes every step, and why.
 
     `stiffness` is h times (a bound of) the highest frequency [1]: conjugate gradients take about three times that
     many iterations without a factor.
     """
-    band, mkl = band_of(pattern).megabytes, library() is not None
+    band, mkl = band_of(pattern).megabytes, load_mkl() is not None
     most = _CHANGING_BAND if not constant else _CONSTANT_BAND if mkl else _CONSTANT_BAND_WITHOUT_MKL
     kind = "stays" if constant else "changes every step"
     if band <= most:

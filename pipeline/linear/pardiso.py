@@ -16,12 +16,12 @@ from pipeline.fem.assembly import BlockPattern
 from pipeline.linear.work import Work
 
 _POSITIVE_DEFINITE = 2  # mtype: real, symmetric
-_ANALYSE_AND_FACTOR, _FACTOR, _SOLVE, _RELEASE = 12, 22, 33, -1
+_ANALYZE_AND_FACTOR, _FACTOR, _SOLVE, _RELEASE = 12, 22, 33, -1
 _SEQUENTIAL = 1  # threading layer: one thread, the same bits every time
 
 
 @cache
-def library() -> Any:
+def load_mkl() -> Any:
     """Return MKL, on one thread, or None where it is not installed."""
     try:
         found = [path for path in files("mkl") or () if "mkl_rt." in path.name]
@@ -32,7 +32,7 @@ def library() -> Any:
     return mkl
 
 
-class Factor:
+class PardisoFactor:
     """The Cholesky factor of matrices of one pattern, in double or single precision; refactored in place."""
 
     def __init__(self, pattern: BlockPattern, dtype: type) -> None:
@@ -47,7 +47,7 @@ class Factor:
         self._numbers = np.array([1, _POSITIVE_DEFINITE, 0, self.size, 0, 0], dtype=np.int32)
         arrays = (self._handle, self._entries, self._indptr, self._indices, self._options, self._numbers)
         self._at = tuple(array.ctypes.data for array in arrays)  # now: at the program's end numpy cannot tell any more
-        self._phase = _ANALYSE_AND_FACTOR
+        self._phase = _ANALYZE_AND_FACTOR
 
     def update(self, values: Floats) -> None:
         """Factor the matrix with these values (blocks, d, d); raises SolveError where there is no factor."""
@@ -72,7 +72,7 @@ class Factor:
         self._numbers[2] = phase
         handle, entries, indptr, indices, options, one = self._at
         kind, at, size, silent, error = (one + 4 * i for i in range(1, 6))
-        library().pardiso(
+        load_mkl().pardiso(
             *map(ctypes.c_void_p, (handle, one, one, kind, at, size, entries, indptr, indices, None, one)),
             *map(ctypes.c_void_p, (options, silent, _address(b), _address(x), error)),
         )
@@ -106,16 +106,16 @@ class Pardiso:
     """A direct solve by MKL for every new matrix; positive definite ones only."""
 
     def __init__(self, pattern: BlockPattern, rtol: float = 0.0, rest: object = None) -> None:
-        if library() is None:
+        if load_mkl() is None:
             raise SolveError(
                 "method.linear_solver = 'pardiso' needs the mkl package: pip install 'corotational-pipeline[mkl]'"
             )
-        self._factor = Factor(pattern, np.float64)
+        self._factor = PardisoFactor(pattern, np.float64)
 
     def update(self, values: Floats, frames: object = None) -> Work:
         """Factor the matrix; raises SolveError where it is not positive definite."""
         self._factor.update(values)
-        return Work(factorisations=1)
+        return Work(factorizations=1)
 
     def solve(self, b: Floats, x: Floats) -> Work:
         """Write the solution by substitution into x (n, d)."""

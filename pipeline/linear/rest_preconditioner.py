@@ -21,8 +21,8 @@ from scipy.sparse.linalg import splu
 from pipeline.arrays import Floats, Singles
 from pipeline.fem.assembly import BlockPattern
 from pipeline.linear import pardiso
-from pipeline.linear.banded import band_of, shifted
-from pipeline.linear.cg import ConjugateGradients, Frames
+from pipeline.linear.banded import band_of, factor_with_shift
+from pipeline.linear.cg import ConjugateGradients, NodalRotations
 from pipeline.linear.multigrid import Cycle, rigid_modes
 from pipeline.linear.work import Work
 
@@ -53,38 +53,38 @@ class RestFactor:
 
 def factor_kind(band_megabytes: float) -> str:
     """Return how the state at rest is factored: banded; for larger ones by MKL, CHOLMOD (`fast` extra), or SuperLU."""
-    if band_megabytes <= (_LARGE_BAND if pardiso.library() is None else _SMALL_BAND):
+    if band_megabytes <= (_LARGE_BAND if pardiso.load_mkl() is None else _SMALL_BAND):
         return "banded"
-    if pardiso.library() is not None:
+    if pardiso.load_mkl() is not None:
         return "mkl"
     return "superlu" if find_spec("cholespy") is None else "cholmod"
 
 
-def rest_factor(pattern: BlockPattern, rest: Rest) -> RestFactor:
+def factor_rest(pattern: BlockPattern, rest: Rest) -> RestFactor:
     """Return the factor of the matrix at rest, of the kind for its size."""
     return FACTORS[factor_kind(band_of(pattern).megabytes)](pattern, rest)
 
 
-def _banded(pattern: BlockPattern, rest: Rest) -> RestFactor:
+def _factor_banded(pattern: BlockPattern, rest: Rest) -> RestFactor:
     band = band_of(pattern)
     factor = band.preconditioner(rest.values())
     return RestFactor("banded", band.order, lambda b: spbtrs(factor, b, lower=1, overwrite_b=1)[0])
 
 
-def _by_mkl(pattern: BlockPattern, rest: Rest) -> RestFactor:
-    factor, values = pardiso.Factor(pattern, np.float32), rest.values()
+def _factor_by_mkl(pattern: BlockPattern, rest: Rest) -> RestFactor:
+    factor, values = pardiso.PardisoFactor(pattern, np.float32), rest.values()
     diagonal = values[pattern.diagonal]
 
     def with_shift(shift: float) -> None:
         values[pattern.diagonal] = (1 + shift) * diagonal
         factor.update(values)
 
-    shifted(with_shift)
+    factor_with_shift(with_shift)
     y = np.empty(factor.size, dtype=np.float32)
     return RestFactor("mkl", np.arange(pattern.nodes), lambda b: factor.solve(b, y))
 
 
-def _by_cholmod(pattern: BlockPattern, rest: Rest) -> RestFactor:
+def _factor_by_cholmod(pattern: BlockPattern, rest: Rest) -> RestFactor:
     from cholespy import CholeskySolverF, MatrixType
 
     matrix = pattern.matrix(rest.values()).tocoo()
@@ -98,29 +98,34 @@ def _by_cholmod(pattern: BlockPattern, rest: Rest) -> RestFactor:
     return RestFactor("cholmod", np.arange(pattern.nodes), solve)
 
 
-def _by_superlu(pattern: BlockPattern, rest: Rest) -> RestFactor:
+def _factor_by_superlu(pattern: BlockPattern, rest: Rest) -> RestFactor:
     matrix = pattern.matrix(rest.values()).tocsc()
     factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     nodes = np.arange(pattern.nodes)
     return RestFactor("superlu", nodes, lambda b: factor.solve(b.astype(np.float64)).astype(np.float32))
 
 
-FACTORS = {"banded": _banded, "mkl": _by_mkl, "cholmod": _by_cholmod, "superlu": _by_superlu}
+FACTORS = {
+    "banded": _factor_banded,
+    "mkl": _factor_by_mkl,
+    "cholmod": _factor_by_cholmod,
+    "superlu": _factor_by_superlu,
+}
 
 
-class TurnedFactor:
+class RotatedFactor:
     """Q A_0^-1 Q^T, with one factor, or what stands for it, for all matrices."""
 
     def __init__(self, pattern: BlockPattern, factor: RestFactor) -> None:
         self.factor = factor
-        self._setup = Work(factorisations=1)
+        self._setup = Work(factorizations=1)
         n, d = pattern.nodes, pattern.dimension
         self._y = np.zeros(n * d, dtype=np.float32)
         self._Q = np.zeros((n, d, d))
         # kernels are compiled, or loaded, here and not in a timed step
         self.apply(np.zeros((n, d)), 0.0, np.zeros((n, d)), np.zeros((n, d)))
 
-    def update(self, values: Floats, frames: Frames) -> Work:
+    def update(self, values: Floats, frames: NodalRotations) -> Work:
         """Take the nodal rotations of the matrix' state."""
         frames(self._Q)
         work, self._setup = self._setup, Work()
@@ -131,15 +136,15 @@ class TurnedFactor:
         from pipeline.linear.kernels import vectors as kernels
 
         size = size or 1.0
-        kernels.turn(self._Q, r, self.factor.order, size, self._y)
+        kernels.rotate_back(self._Q, r, self.factor.order, size, self._y)
         y = self.factor.solve(self._y)
-        result: tuple[float, float] = kernels.turn_back(self._Q, y, self.factor.order, size, r, Ap, z)
+        result: tuple[float, float] = kernels.rotate_forth(self._Q, y, self.factor.order, size, r, Ap, z)
         return result
 
 
 def warped_cg(pattern: BlockPattern, rtol: float, rest: Rest) -> ConjugateGradients:
     """Return conjugate gradients with the turned factor of the state at rest."""
-    return ConjugateGradients(pattern, rtol, TurnedFactor(pattern, rest_factor(pattern, rest)))
+    return ConjugateGradients(pattern, rtol, RotatedFactor(pattern, factor_rest(pattern, rest)))
 
 
 def multigrid_cg(pattern: BlockPattern, rtol: float, rest: Rest) -> ConjugateGradients:
@@ -147,4 +152,4 @@ def multigrid_cg(pattern: BlockPattern, rtol: float, rest: Rest) -> ConjugateGra
     cycle = Cycle(pattern.matrix(rest.values()), rigid_modes(rest.points))
     shape = rest.points.shape
     factor = RestFactor("multigrid", np.arange(pattern.nodes), lambda b: cycle(b.reshape(shape)).reshape(-1))
-    return ConjugateGradients(pattern, rtol, TurnedFactor(pattern, factor))
+    return ConjugateGradients(pattern, rtol, RotatedFactor(pattern, factor))

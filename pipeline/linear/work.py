@@ -17,7 +17,7 @@ class Work:
     steps: int = 0
     solves: int = 0
     iterations: int = 0
-    factorisations: int = 0
+    factorizations: int = 0
     linear_iterations: int = 0
     rotations: int = 0
     seconds: float = 0.0
@@ -28,7 +28,7 @@ class Work:
             self.steps + other.steps,
             self.solves + other.solves,
             self.iterations + other.iterations,
-            self.factorisations + other.factorisations,
+            self.factorizations + other.factorizations,
             self.linear_iterations + other.linear_iterations,
             self.rotations + other.rotations,
             self.seconds + other.seconds,

@@ -22,7 +22,7 @@ def check_connectivity(points: Floats, cells: Ints) -> None:
         raise MeshError(f"cell {bad[0]} names node {wrong} of {len(points)} (counted from 0)")
 
 
-def without_repeated_cells(cells: Ints) -> tuple[Ints, list[str]]:
+def drop_repeated_cells(cells: Ints) -> tuple[Ints, list[str]]:
     """Return the cells (e, d + 1), each once, in their order."""
     _, first = np.unique(np.sort(cells, axis=1), axis=0, return_index=True)
     removed = len(cells) - len(first)
@@ -31,7 +31,7 @@ def without_repeated_cells(cells: Ints) -> tuple[Ints, list[str]]:
     return cells[np.sort(first)], [f"{removed} cells were listed twice and count once"]
 
 
-def without_unused_nodes(points: Floats, cells: Ints) -> tuple[Floats, Ints, list[str]]:
+def drop_unused_nodes(points: Floats, cells: Ints) -> tuple[Floats, Ints, list[str]]:
     """Return points and cells without the nodes that no cell names; the others keep their order."""
     used = np.zeros(len(points), dtype=bool)
     used[cells] = True
@@ -61,7 +61,7 @@ def check_points(points: Floats) -> None:
         )
 
 
-def oriented(points: Floats, cells: Ints) -> tuple[Ints, list[str]]:
+def orient_cells(points: Floats, cells: Ints) -> tuple[Ints, list[str]]:
     """Return the cells, reoriented where all of them, two or more, are mirrored; flat and mixed ones are left as is.
 
     A single mirrored cell has no neighbour that agrees with it: it may as well be inverted, and is left too.

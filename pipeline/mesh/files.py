@@ -16,9 +16,9 @@ from pipeline.formats.sandbox import SHARED_READER
 from pipeline.mesh.cleanup import (
     check_connectivity,
     check_points,
-    oriented,
-    without_repeated_cells,
-    without_unused_nodes,
+    drop_repeated_cells,
+    drop_unused_nodes,
+    orient_cells,
 )
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 
@@ -32,23 +32,23 @@ def read_mesh(path: str | PathLike[str], scale: float = 1.0) -> Mesh:
     or other solid cells, and for cells and points that cleanup.py refuses.
     """
     path = Path(path)
-    points, blocks, said = _read(path)
+    points, blocks, said = _read_blocks(path)
     notes = [f"meshio says: {said}"] if said else []
     try:
-        points, cells, dropped = _simplices(points, blocks)
+        points, cells, dropped = _find_simplices(points, blocks)
         check_connectivity(points, cells)
-        cells, repeated = without_repeated_cells(cells)
-        points, cells, unused = without_unused_nodes(points, cells)
+        cells, repeated = drop_repeated_cells(cells)
+        points, cells, unused = drop_unused_nodes(points, cells)
         check_points(points)
-        points = _planar(points) if cells.shape[1] == 3 else points
-        cells, mirrored = oriented(points, cells)
+        points = _drop_z(points) if cells.shape[1] == 3 else points
+        cells, mirrored = orient_cells(points, cells)
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
     notes += [*dropped, *repeated, *unused, *mirrored]
     return Mesh(points * scale, cells, name=str(path), notes=tuple(f"{path.name}: {note}" for note in notes))
 
 
-def _read(path: Path) -> tuple[Floats, list[CellBlock], str]:
+def _read_blocks(path: Path) -> tuple[Floats, list[CellBlock], str]:
     """Return points, blocks of cells and what meshio would have printed, read in a child process."""
     if not isfile(path):
         raise MeshError(f"{shorten(str(path), 500)}: no such mesh file")
@@ -60,12 +60,12 @@ def _read(path: Path) -> tuple[Floats, list[CellBlock], str]:
     return points, blocks, said
 
 
-def _simplices(points: Floats, blocks: Sequence[CellBlock]) -> tuple[Floats, Ints, list[str]]:
+def _find_simplices(points: Floats, blocks: Sequence[CellBlock]) -> tuple[Floats, Ints, list[str]]:
     """Return points (n, 2 or 3), the simplices of the highest dimension and a note of what else was dropped."""
     d = max((dimension for _, dimension, *_ in blocks), default=0)
     top = {kind for kind, dimension, *_ in blocks if dimension == d}
     if top != {SIMPLEX_NAMES.get(d)}:
-        raise MeshError(f"has {_listed(kind for kind, *_ in blocks)}; {_NEEDED}{_remedy(top, d)}")
+        raise MeshError(f"has {_join_kinds(kind for kind, *_ in blocks)}; {_NEEDED}{_find_remedy(top, d)}")
     if points.ndim != 2 or points.shape[1] not in (d, 3):
         raise MeshError(f"points {points.shape} do not go with {CELL_NAMES[d]} cells")
     cells = np.concatenate([nodes for _, dimension, _, nodes in blocks if dimension == d])
@@ -81,11 +81,11 @@ def _simplices(points: Floats, blocks: Sequence[CellBlock]) -> tuple[Floats, Int
     return points, cells, [f"cells of lower dimension were dropped: {counts}"]
 
 
-def _listed(kinds: Iterable[str]) -> str:
+def _join_kinds(kinds: Iterable[str]) -> str:
     return join_names(sorted(set(kinds))) or "no cells"
 
 
-def _remedy(kinds: set[str], d: int) -> str:
+def _find_remedy(kinds: set[str], d: int) -> str:
     """Return what to do about cells of the highest dimension that are not all linear simplices."""
     if d < 2:
         return ""
@@ -94,7 +94,7 @@ def _remedy(kinds: set[str], d: int) -> str:
     return f"; split the others into {SIMPLEX_NAMES[d]} cells (pyvista: grid.triangulate())"
 
 
-def _planar(points: Floats) -> Floats:
+def _drop_z(points: Floats) -> Floats:
     """Return the points of triangles without their third coordinate, which must be constant."""
     if points.shape[1] == 2:
         return points

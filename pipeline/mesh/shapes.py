@@ -19,15 +19,15 @@ _BYTES = 270  # a simplex in a body that is built, measured with 100 000 and 800
 
 def box(size: Sequence[float], cells: Sequence[int], split: str = "kuhn") -> Mesh:
     """Return [0, size] in cells of 6 tetrahedra: 3 sizes [m], 3 counts. Kuhn's split shares one diagonal direction."""
-    return _grid(size, cells, split, dimension=3, name="box")
+    return _mesh_grid(size, cells, split, dimension=3, name="box")
 
 
 def rectangle(size: Sequence[float], cells: Sequence[int], split: str = "kuhn") -> Mesh:
     """Return [0, size] in cells of 2 triangles: 2 sizes [m], 2 counts."""
-    return _grid(size, cells, split, dimension=2, name="rectangle")
+    return _mesh_grid(size, cells, split, dimension=2, name="rectangle")
 
 
-def _grid(size: Sequence[float], cells: Sequence[int], split: str, *, dimension: int, name: str) -> Mesh:
+def _mesh_grid(size: Sequence[float], cells: Sequence[int], split: str, *, dimension: int, name: str) -> Mesh:
     if len(size) != dimension or len(cells) != dimension:
         raise MeshError(f"a {name} takes {dimension} sizes and {dimension} cell counts, not {size} and {cells}")
     if split not in SPLITS:
@@ -38,8 +38,8 @@ def _grid(size: Sequence[float], cells: Sequence[int], split: str, *, dimension:
     points = index * (np.array(size, dtype=np.float64) / np.array(cells))
     low = np.stack(np.meshgrid(*[np.arange(c) for c in cells], indexing="ij"), axis=-1).reshape(-1, dimension)
     mirrored = (low % 2).astype(bool) if split == "alternating" else np.zeros(low.shape, dtype=bool)
-    simplices = [_number(corners, low, mirrored, counts) for corners in _kuhn(dimension)]
-    return Mesh(points, _oriented(points, np.stack(simplices, axis=1).reshape(-1, dimension + 1)), name=name)
+    simplices = [_number_nodes(corners, low, mirrored, counts) for corners in _find_kuhn_paths(dimension)]
+    return Mesh(points, _orient_cells(points, np.stack(simplices, axis=1).reshape(-1, dimension + 1)), name=name)
 
 
 def _check_memory(cells: Sequence[int], dimension: int) -> None:
@@ -53,7 +53,7 @@ def _check_memory(cells: Sequence[int], dimension: int) -> None:
         )
 
 
-def _kuhn(dimension: int) -> list[Ints]:
+def _find_kuhn_paths(dimension: int) -> list[Ints]:
     """Return the corners (d + 1, d) of each simplex of the unit cube: paths from low to high corner along axes."""
     steps = np.eye(dimension, dtype=np.int64)
     return [
@@ -62,13 +62,13 @@ def _kuhn(dimension: int) -> list[Ints]:
     ]
 
 
-def _number(corners: Ints, low: Ints, mirrored: np.ndarray, counts: Ints) -> Ints:
+def _number_nodes(corners: Ints, low: Ints, mirrored: np.ndarray, counts: Ints) -> Ints:
     """Return the node numbers (cells, d + 1) of one simplex in every grid cell, its corners mirrored where asked."""
     offset = np.where(mirrored[:, None, :], 1 - corners, corners)
     return np.ravel_multi_index(tuple(np.moveaxis(low[:, None, :] + offset, -1, 0)), tuple(counts)).astype(np.int64)
 
 
-def _oriented(points: Floats, cells: Ints) -> Ints:
+def _orient_cells(points: Floats, cells: Ints) -> Ints:
     """Return the cells with the last two vertices swapped where that makes the volume positive."""
     wrong = signed_volumes(points, cells) < 0
     cells[wrong] = cells[wrong][:, [*range(cells.shape[1] - 2), -1, -2]]

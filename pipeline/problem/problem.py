@@ -10,7 +10,7 @@ from pipeline.fem.body import Body
 from pipeline.fem.compiled_body import make_body
 from pipeline.fem.laws import Corotational, Law
 from pipeline.fem.material import Material
-from pipeline.linear.pardiso import library
+from pipeline.linear.pardiso import load_mkl
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.simplex import Mesh, component_labels
 from pipeline.problem.conditions import (
@@ -198,7 +198,7 @@ def _list_notes(case: Case, mesh: Mesh) -> tuple[str, ...]:
         notes.append(f"method.{', method.'.join(unused)} not used: method.model = {case.method.model!r} decides")
     if LAWS[case.method.law].is_linear and "method.rotation" in case.own_keys:
         notes.append("method.rotation is not used by the linear law")
-    if case.method.linear_solver == "pardiso" and not traits.is_explicit and library() is None:
+    if case.method.linear_solver == "pardiso" and not traits.is_explicit and load_mkl() is None:
         notes.append(
             "method.linear_solver = 'pardiso' needs the mkl package, which is not installed: superlu replaces it; "
             "to install it: pip install 'corotational-pipeline[mkl]'"

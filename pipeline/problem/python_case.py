@@ -13,7 +13,7 @@ from pipeline.case import Case
 from pipeline.case.model import validate_case
 from pipeline.case.python_values import PythonValue
 from pipeline.errors import CaseError
-from pipeline.mesh.cleanup import oriented
+from pipeline.mesh.cleanup import orient_cells
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.problem import build_mesh
 
@@ -155,7 +155,7 @@ def _describe_mesh(mesh: Mesh | tuple[Any, Any], path: Path) -> dict[str, Any]:
             f"{path}: mesh: points have shape {points.shape} and cells {cells.shape}; "
             "give (n, 3) with (e, 4) for tetrahedra or (n, 2) with (e, 3) for triangles"
         )
-    cells, _ = oriented(points, cells)
+    cells, _ = orient_cells(points, cells)
     return {"arrays": PythonValue(f"array {points.shape} and {cells.shape}, {_digest(points, cells)}", (points, cells))}
 
 

@@ -12,8 +12,8 @@ from pipeline.fem.compiled_body import make_body
 from pipeline.fem.laws import Linear, Tangent
 from pipeline.fem.rotation import polar
 from pipeline.linear.banded import band_of
-from pipeline.linear.choice import LinearSolver, choice
-from pipeline.linear.pardiso import library
+from pipeline.linear.choice import LinearSolver, choose_solver
+from pipeline.linear.pardiso import load_mkl
 from pipeline.linear.rest_preconditioner import Rest, factor_kind
 from pipeline.problem.methods import INVERSIONS, LINEAR_SOLVERS, STEPPERS, find_traits
 from pipeline.stepping.auto import Auto
@@ -56,18 +56,18 @@ def make_stepper(body: Body, dt: float, method: MethodSpec) -> Stepper:
 def make_stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     """Return the solver of implicit stages of size h [s] that the body's law and the method's iterations need."""
     if body.law.constant_tangent:
-        body.rehearse()
+        body.warm_up()
         return Prefactored(body, _make_linear_solver(body, h, method, constant=True), h)
     traits = find_traits(method)
     solver = _make_linear_solver(body, h, method, constant=False)
-    body.rehearse(turning=traits.chooses_model, tangents=traits.is_converged)
+    body.warm_up(frame_errors=traits.chooses_model, tangents=traits.is_converged)
     limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
     if traits.chooses_model:
         # the linear rung keeps its factor, so it has a solver of its own
         linear = make_body(
             body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs, body.varying_load
         )
-        linear.rehearse()
+        linear.warm_up()
         prefactored = Prefactored(linear, _make_linear_solver(body, h, method, constant=True), h)
         newton = Converged(body, solver, limits)
         return Auto(body, prefactored, FrozenPasses(body, solver, 1), newton, method.volume_tolerance)
@@ -84,7 +84,7 @@ def list_linear_solvers(body: Body, h: float, method: MethodSpec) -> list[dict[s
     traits = find_traits(method)
     if traits.is_explicit:
         return []
-    if method.linear_solver == "pardiso" and library() is None:
+    if method.linear_solver == "pardiso" and load_mkl() is None:
         return [{"name": "superlu", "reason": "the case names pardiso; MKL is not installed"}]
     if method.linear_solver == "warped":
         kind = factor_kind(band_of(body.free_pattern).megabytes)
@@ -104,7 +104,7 @@ def _make_linear_solver(body: Body, h: float, method: MethodSpec, *, constant: b
 
 
 def _choose_by_size(body: Body, h: float, *, constant: bool) -> tuple[str, str]:
-    return choice(body.free_pattern, constant=constant, stiffness=h * body.frequency_bound)
+    return choose_solver(body.free_pattern, constant=constant, stiffness=h * body.frequency_bound)
 
 
 def _describe_rest(body: Body, h: float) -> Rest:

@@ -36,7 +36,7 @@ Status = Literal["finished", "failed", "up to date"]
 Notify = Callable[[str, Problem, Frame, RunSummary], None]
 # runs that can continue: killed, stopped by the user, or stopped because a file could not be written
 UNFINISHED = ("running", "interrupted")
-_COUNTS = ("steps", "solves", "iterations", "linear_iterations", "factorisations", "rotations")
+_COUNTS = ("steps", "solves", "iterations", "linear_iterations", "factorizations", "rotations")
 _ROUNDED = "output.precision = 'float32': statistics.nc cannot be rebuilt from the frames, which are rounded"
 _PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
 

@@ -17,7 +17,7 @@ from pipeline.errors import MeshError, SeriesError, join_names, shorten
 from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.formats.grid import Grid
 from pipeline.formats.readers import SUFFIXES
-from pipeline.mesh.cleanup import oriented
+from pipeline.mesh.cleanup import orient_cells
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 from pipeline.series.frame_files import read_grid
 
@@ -129,7 +129,7 @@ def infer_layout(first: Grid, read: Callable[[int], Grid], count: int, options: 
         cell_notes += (f"{(~used).sum()} points that belong to no measured cell are left out, first {np.argmin(used)}",)
     try:
         points = drop_z(rest, f"{where}: rest state") if dimension == 2 else rest
-        cells, orientation_notes = oriented(points, cells)
+        cells, orientation_notes = orient_cells(points, cells)
         mesh = Mesh(points, cells, name=where)
     except MeshError as error:
         raise SeriesError(f"rest state: {error}") from error

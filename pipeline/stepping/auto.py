@@ -20,7 +20,7 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.fem.body import Body
-from pipeline.fem.frame_error import Turning
+from pipeline.fem.frame_error import FrameError
 from pipeline.linear.work import Work
 from pipeline.stepping.newton import Converged
 from pipeline.stepping.report import CONVERGED, COROTATIONAL, LINEAR, ModelChoice, StepReport
@@ -46,7 +46,7 @@ class Auto:
         # the positions measured last (a copy), the result, and whether it was measured from I. A step usually begins
         # with the positions that the one before ended with: then they are not measured again
         self._x, self._is_measured = np.empty_like(body.mesh.points), False
-        self._error, self._from_rest = Turning(np.inf, np.inf), False
+        self._error, self._from_rest = FrameError(np.inf, np.inf), False
         # rotations used and rotations reached, in turn
         e, d = len(body.mesh.cells), body.mesh.dimension
         self._used, self._reached = np.empty((2, e, d, d))
@@ -79,7 +79,7 @@ class Auto:
             x, v, report = self.linear.solve(stage)
             return x, v, report.work, LINEAR
         if not stage.starts_at_x_n:
-            self.body.turn(stage.start, self._reached)
+            self.body.update_rotations(stage.start, self._reached)
         v = stage.v_h.copy()
         work = self._run_pass(stage.start, stage, v, at_x_h=stage.starts_at_x_n)
         return advance(self.body, stage, v), v, work, COROTATIONAL
@@ -90,15 +90,15 @@ class Auto:
         self._from_rest = False
         return self.passes.run_pass(x, stage, v, self._used, at_x_h=at_x_h)
 
-    def _measure(self, x: Floats) -> Turning:
+    def _measure(self, x: Floats) -> FrameError:
         """Return how far the rotations at x are from those used; a bound replaces it if that is low enough."""
         np.copyto(self._x, x)
         self._is_measured = True
-        bound = self.body.turning_bound(x) if self._from_rest else np.inf
+        bound = self.body.bound_frame_error(x) if self._from_rest else np.inf
         if bound <= self.tolerance:
-            self._error = Turning(bound, bound)
+            self._error = FrameError(bound, bound)
         else:
-            self._error = self.body.turning(x, None if self._from_rest else self._used, self._reached)
+            self._error = self.body.measure_frame_error(x, None if self._from_rest else self._used, self._reached)
         return self._error
 
     def _is_near_rest(self, x: Floats) -> bool:
@@ -108,9 +108,9 @@ class Auto:
                 return self._error.indicator <= self.tolerance
             if self._error.from_rest > self.tolerance:
                 return False
-        if self.body.turning_bound(x) <= self.tolerance:
+        if self.body.bound_frame_error(x) <= self.tolerance:
             return True
         # the second part of the indicator costs more: it is measured only if the first does not decide
-        if self.body.turn(x, self._reached) > self.tolerance:
+        if self.body.update_rotations(x, self._reached) > self.tolerance:
             return False
-        return self.body.turning(x, None, self._reached).indicator <= self.tolerance
+        return self.body.measure_frame_error(x, None, self._reached).indicator <= self.tolerance

@@ -31,7 +31,7 @@ class EnergyGuard:
         self.body = body
         self.stepper = stepper
         if body.supports.motions:  # their work asks for forces, whose kernel is compiled, or loaded, here
-            body.rehearse(solves=False)
+            body.warm_up(solves=False)
         self._least = natural_energy(body)
         self._scratch = np.empty((2, *body.mesh.points.shape))
         # the loads that vary have no potential: their work is counted in every step instead

@@ -174,7 +174,7 @@ class Converged:
         try:
             work = self._solve_for_dx("exact", stage)
         except SolveError:  # Cholesky found it indefinite; other solvers return a direction that does not descend
-            return Work(factorisations=1) + self._solve_for_dx(kind, stage)
+            return Work(factorizations=1) + self._solve_for_dx(kind, stage)
         if np.vdot(self._r, self._dx) > 0:
             return work
         return work + self._solve_for_dx(kind, stage)

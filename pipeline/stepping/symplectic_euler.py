@@ -40,7 +40,7 @@ class SymplecticEuler:
         self._kick = kick
         self._dt_over_mass = self.dt / self.body.lumped_mass
         # kernels are compiled, or loaded, here and not in a timed step
-        self.body.rehearse(solves=False)
+        self.body.warm_up(solves=False)
         none = np.zeros_like(self.body.load[:0])
         held = self.body.supports.nodes[:0]
         kick(none, self.body.load[:0], self._dt_over_mass[:0], none, none, self.dt, held, none, none)
@@ -71,7 +71,7 @@ def element_limit(body: Body) -> float:
 
 def true_limit(body: Body) -> float:
     """Return 2 / omega_max [s] of the body at rest; raises SolveError if Lanczos does not converge."""
-    _, K = body.linearise(body.mesh.points)
+    _, K = body.linearize(body.mesh.points)
     pattern = body.free_pattern
     matrix = pattern.matrix(K[: pattern.blocks])
     root = np.repeat(np.sqrt(body.lumped_mass[body.free]), pattern.dimension)

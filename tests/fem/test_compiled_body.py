@@ -44,19 +44,19 @@ def test_forces_stiffness_and_energy_are_those_of_the_plain_body(bodies: tuple[B
     d = plain.mesh.dimension
     x = plain.mesh.points @ polar(rng.normal(size=(1, d, d)))[0] + shake * rng.normal(size=plain.mesh.points.shape)
     assert compiled.energy(x) == pytest.approx(plain.energy(x), rel=1e-11, abs=1e-9 * 1e6 * 3)
-    f, K = plain.linearise(x)
+    f, K = plain.linearize(x)
     # of the largest force or stiffness that this motion makes, and of what a strain of one makes
     f_scale, K_scale = max(np.abs(f).max(), 1e6), np.abs(K).max()
     for given in (None, plain.rotations(x)):
-        g, L = compiled.linearise(x, given)
+        g, L = compiled.linearize(x, given)
         np.testing.assert_allclose(g, f, atol=1e-11 * f_scale)
         np.testing.assert_allclose(L, K, atol=1e-10 * K_scale)
     np.testing.assert_allclose(compiled.rotations(x), plain.rotations(x), atol=1e-9)
     np.testing.assert_allclose(compiled.nodal_rotations(x), plain.nodal_rotations(x), atol=1e-9)
     np.testing.assert_allclose(compiled.force(x), f, atol=1e-11 * f_scale)
     for kind in ("projected", "exact"):
-        g, L = compiled.linearise(x, kind=kind)
-        expected = plain.linearise(x, kind=kind)[1]
+        g, L = compiled.linearize(x, kind=kind)
+        expected = plain.linearize(x, kind=kind)[1]
         np.testing.assert_allclose(g, f, atol=1e-11 * f_scale)
         np.testing.assert_allclose(L, expected, atol=1e-8 * np.abs(expected).max())
 
@@ -141,9 +141,9 @@ def test_the_linear_law_has_one_matrix_and_its_numbers_are_those_of_the_plain_bo
     plain, body = Body(*arguments), make_body(*arguments)
     assert type(body) is LinearBody
     x = mesh.points + np.random.default_rng(4).normal(size=mesh.points.shape)
-    f, K = plain.linearise(x)
+    f, K = plain.linearize(x)
     for given in (None, plain.rotations(x)):
-        g, L = body.linearise(x, given)
+        g, L = body.linearize(x, given)
         np.testing.assert_allclose(g, f, atol=1e-12 * np.abs(f).max())
         np.testing.assert_allclose(L, K, atol=1e-12 * np.abs(K).max())
     np.testing.assert_allclose(body.stiffness, K, atol=1e-12 * np.abs(K).max())

@@ -36,7 +36,7 @@ def test_an_affine_map_has_its_own_gradient(mesh):
 @MESHES
 def test_a_free_body_has_as_many_zero_eigenvalues_as_rigid_motions(mesh, method):
     body = solid(mesh, **method)
-    _, K = body.linearise(mesh.points @ turn(mesh.dimension, [1, 2, 3], 1.0).T)  # also where it has turned
+    _, K = body.linearize(mesh.points @ turn(mesh.dimension, [1, 2, 3], 1.0).T)  # also where it has turned
     K = body.pattern.matrix(K).toarray()
     values = np.linalg.eigvalsh(K)
     rigid = {2: 3, 3: 6}[mesh.dimension]
@@ -97,7 +97,7 @@ def test_nodal_forces_are_minus_the_gradient_of_the_energy(mesh, name):
 @MESHES
 def test_the_stiffness_is_minus_the_derivative_of_the_forces(mesh, name, kind):
     body, x = solid(mesh, **METHODS[name]), deformed(mesh, 0.05)
-    f, K = body.linearise(x, kind=kind)
+    f, K = body.linearize(x, kind=kind)
     assert np.abs(f - body.force(x)).max() < 1e-13 * np.abs(f).max()
     K = body.pattern.matrix(K).toarray()
     wanted = np.empty_like(K)
@@ -116,7 +116,7 @@ def test_forces_are_those_of_the_warped_stiffness(mesh, name):
     f = np.zeros_like(x)
     for cell, rotation in zip(mesh.cells, R, strict=True):
         alone = solid(Mesh(mesh.points[cell], np.arange(d + 1)[None]))
-        K_e = alone.pattern.matrix(alone.linearise(alone.mesh.points)[1])
+        K_e = alone.pattern.matrix(alone.linearize(alone.mesh.points)[1])
         u = x[cell] @ rotation - mesh.points[cell]
         f[cell] -= (K_e @ u.ravel()).reshape(d + 1, d) @ rotation.T
     assert np.abs(f - solid(mesh, **METHODS[name]).force(x)).max() < 1e-13 * np.abs(f).max() * 10
@@ -174,7 +174,7 @@ def test_frequencies_of_the_clamped_bar(split, mass, wanted):
 @MESHES
 def test_frequencies_of_a_free_body_leave_out_its_rigid_motions(mesh):
     body = solid(mesh)
-    K, M = (body.pattern.matrix(A).toarray() for A in (body.linearise(mesh.points)[1], body.mass))
+    K, M = (body.pattern.matrix(A).toarray() for A in (body.linearize(mesh.points)[1], body.mass))
     found, modes = lowest_frequencies(body, 4)
     rigid = {2: 3, 3: 6}[mesh.dimension]
     assert found**2 == pytest.approx(eigh(K, M, eigvals_only=True)[rigid : rigid + 4], rel=1e-9)
@@ -197,7 +197,7 @@ def test_a_cantilever_sags_by_the_part_of_beam_theory_that_locking_leaves(split,
     load = body_force(mesh, np.array([0.0, 0.0, -9810.0]))
     body = solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), load=load)
     pattern = body.free_pattern
-    K = pattern.matrix(body.linearise(mesh.points)[1][: pattern.blocks]).toarray()
+    K = pattern.matrix(body.linearize(mesh.points)[1][: pattern.blocks]).toarray()
     u = np.zeros_like(mesh.points)
     u[body.free] = np.linalg.solve(K, load[body.free].ravel()).reshape(-1, 3)
     tip = -u[mesh.points[:, 1] == 0.0, 2].mean()

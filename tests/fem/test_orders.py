@@ -30,7 +30,7 @@ def error(d: int, n: int, split: str) -> float:
     held = np.flatnonzero(((X < 1e-9) | (X > 1 - 1e-9)).any(axis=1))
     load = mesh.node_volumes[:, None] * b
     body = Body(mesh, Linear(MATERIAL), Supports(held), load, consistent_mass_pairs)
-    _, K = body.linearise(X)
+    _, K = body.linearize(X)
     pattern = body.free_pattern
     u = np.zeros_like(X)
     u[body.free] = spsolve(pattern.matrix(K[: pattern.blocks]).tocsc(), load[body.free].ravel()).reshape(-1, d)

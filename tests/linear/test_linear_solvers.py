@@ -48,7 +48,7 @@ def only(monkeypatch, factor: str) -> None:
         monkeypatch.setattr(warped, "_SMALL_BAND", 0.0)
         monkeypatch.setattr(warped, "_LARGE_BAND", 0.0)
     if factor in ("cholmod", "superlu"):
-        monkeypatch.setattr(pardiso, "library", lambda: None)
+        monkeypatch.setattr(pardiso, "load_mkl", lambda: None)
     if factor == "superlu":
         monkeypatch.setitem(sys.modules, "cholespy", None)  # as if it were not installed
 
@@ -59,7 +59,7 @@ def test_warped_takes_one_factor_for_the_whole_run(cases_folder, monkeypatch, fa
     overrides = {"method.linear_solver": "warped", "schedule.frames": 10}
     run = frames(build(load_case(cases_folder / "bar.toml", overrides=overrides).variant("polar")))
     work = [frame.work for frame in run]
-    assert [one.factorisations for one in work] == [0, 1, *[0] * 9]
+    assert [one.factorizations for one in work] == [0, 1, *[0] * 9]
     assert all(1 < one.linear_iterations < 60 for one in work[1:])
 
 
@@ -69,7 +69,7 @@ def test_newton_and_auto_keep_that_factor_too(cases_folder, solver: str, keys: d
     overrides = {"method.linear_solver": solver, "schedule.frames": 10, **keys}
     work = [f.work for f in frames(build(load_case(cases_folder / "bar.toml", overrides=overrides).variant("polar")))]
     assert sum(one.solves for one in work) > 10  # several in some steps
-    assert 1 <= sum(one.factorisations for one in work) <= most  # auto's linear rung has one of its own
+    assert 1 <= sum(one.factorizations for one in work) <= most  # auto's linear rung has one of its own
 
 
 @pytest.mark.parametrize("factor", FACTORS)
@@ -80,7 +80,7 @@ def test_warped_gives_the_same_with_every_factor(cases_folder, monkeypatch, fact
     assert np.abs(found[-1] - expected[-1]).max() < 1e-5
     pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
     unit = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
-    assert warped.rest_factor(pattern, Rest(np.zeros((8, 3)), lambda: unit)).name == factor
+    assert warped.factor_rest(pattern, Rest(np.zeros((8, 3)), lambda: unit)).name == factor
 
 
 def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypatch) -> None:
@@ -90,7 +90,7 @@ def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypa
     reasons: list[str] = []
 
     def chosen(pattern, *, constant: bool, stiffness: float = 1e3) -> str:
-        name, reason = linear_solve.choice(pattern, constant=constant, stiffness=stiffness)
+        name, reason = linear_solve.choose_solver(pattern, constant=constant, stiffness=stiffness)
         assert "MB" in reason
         reasons.append(reason)
         return name
@@ -110,7 +110,7 @@ def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypa
         few_steps.setattr(linear_solve, "_PAID_FACTOR", 1e5)
         assert chosen(large, constant=True) == "multigrid"
         assert " GB, more than 0.0001; " in reasons[-1]
-    monkeypatch.setattr(linear_solve, "library", lambda: None)
+    monkeypatch.setattr(linear_solve, "load_mkl", lambda: None)
     monkeypatch.setattr(linear_solve, "_CONSTANT_BAND_WITHOUT_MKL", 1.0)
     assert chosen(large, constant=True) == "superlu"
     monkeypatch.setattr(linear_solve, "_LU_BAND", 1.0)
@@ -127,7 +127,7 @@ def test_the_bound_of_the_frequencies_is_one(cases_folder) -> None:
 def test_pardiso_without_mkl_is_superlu_and_says_so(cases_folder, monkeypatch) -> None:
     expected = path(cases_folder, "superlu", "polar", **{"schedule.frames": 3})
     for module in (pardiso, linear_solve, stage_solvers, problem_module):
-        monkeypatch.setattr(module, "library", lambda: None)
+        monkeypatch.setattr(module, "load_mkl", lambda: None)
     found = path(cases_folder, "pardiso", "polar", **{"schedule.frames": 3})
     assert np.array_equal(found[-1], expected[-1])
     case = load_case(cases_folder / "bar.toml", overrides={"method.linear_solver": "pardiso"})

@@ -60,7 +60,7 @@ def test_groups_are_neighbourhoods_and_take_every_node() -> None:
 
 def test_coarse_motions_hold_the_rigid_ones(cases_folder) -> None:
     body = build(load_case(cases_folder / "bar.toml").variant("polar")).body
-    _, K = body.linearise(body.mesh.points)
+    _, K = body.linearize(body.mesh.points)
     stiffness = body.pattern.matrix(K)
     modes = rigid_modes(body.mesh.points)
     flat = modes.reshape(-1, 6)
@@ -77,7 +77,7 @@ def test_iterations_stay_few_whatever_the_step(cases_folder, h: float) -> None:
     keys = {"mesh.cells": [8, 26, 8], "method.linear_solver": "multigrid", "schedule.dt": h, "schedule.frames": 2}
     run = frames(build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant("polar")))
     work = [frame.work for frame in run]
-    assert [one.factorisations for one in work] == [0, 1, 0]
+    assert [one.factorizations for one in work] == [0, 1, 0]
     assert all(0 < one.linear_iterations < 40 for one in work[1:])
 
 

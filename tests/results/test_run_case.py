@@ -91,7 +91,7 @@ def test_run_json_says_what_was_done(done):
         assert (run["name"], run["variant"], run["status"], run["frames"]) == ("beam", name, "finished", 5)
         assert run["last_frame"] == {"index": 4, "step": 4, "time": 0.08}
         assert run["work"]["steps"] == run["work"]["solves"] == run["work"]["iterations"] == 4
-        assert (run["work"]["rotations"], run["work"]["factorisations"]) == ((0, 1) if name == "linear" else (4, 4))
+        assert (run["work"]["rotations"], run["work"]["factorizations"]) == ((0, 1) if name == "linear" else (4, 4))
         assert run["seconds"].keys() == {"setup", "solving", "writing", "wall"}
         assert all(seconds > 0 for seconds in run["seconds"].values())
         assert run["real_time_factor"] == pytest.approx(0.02 / run["seconds_per_step"])

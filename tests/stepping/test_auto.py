@@ -52,7 +52,7 @@ def test_spurious_volume_is_the_square_of_the_tangent_of_the_angle(d: int) -> No
 @pytest.mark.parametrize("shake", [1e-4, 1e-2, 0.3])
 @pytest.mark.parametrize("turn", [0.0, 1e-3, 0.1, 2.0])
 @pytest.mark.parametrize("d", [2, 3])
-def test_the_compiled_turning_is_the_plain_one_and_its_bound_holds(d: int, shake: float, turn: float) -> None:
+def test_the_compiled_frame_error_is_the_plain_one_and_its_bound_holds(d: int, shake: float, turn: float) -> None:
     rng = np.random.default_rng(5)
     mesh = box([1.0, 2.0, 1.5], [2, 3, 2]) if d == 3 else rectangle([1.0, 2.0], [3, 5])
     compiled = solid(mesh, "corotational", held=[0, 1])
@@ -62,13 +62,13 @@ def test_the_compiled_turning_is_the_plain_one_and_its_bound_holds(d: int, shake
     x = X @ rotation_about(axis, turn)[:d, :d].T + shake * rng.normal(size=X.shape)
     R, S, T = np.empty((3, *plain.rotations(x).shape))
     for used in (None, plain.rotations(X + 0.05 * rng.normal(size=X.shape))):
-        ours, expected = compiled.turning(x, used, R), plain.turning(x, used, S)
+        ours, expected = compiled.measure_frame_error(x, used, R), plain.measure_frame_error(x, used, S)
         assert ours.indicator == pytest.approx(expected.indicator, rel=1e-9, abs=1e-13)
         assert ours.from_rest == pytest.approx(expected.from_rest, rel=1e-9, abs=1e-13)
         np.testing.assert_allclose(R, S, atol=1e-9)
-        assert compiled.turn(x, T) == ours.from_rest and plain.turn(x, T) == expected.from_rest
+        assert compiled.update_rotations(x, T) == ours.from_rest and plain.update_rotations(x, T) == expected.from_rest
         np.testing.assert_array_equal(S, T)
-    exact, bound = plain.turning(x, None, S).indicator, compiled.turning_bound(x)
+    exact, bound = plain.measure_frame_error(x, None, S).indicator, compiled.bound_frame_error(x)
     assert exact <= bound * (1 + 1e-9)
     if turn < 0.01 and shake < 0.01:
         assert bound < 20 * exact  # of use where rotations are small
@@ -80,7 +80,7 @@ def test_the_compiled_bound_of_angles_is_that_of_its_formula(turn: float) -> Non
     assert isinstance(body, CompiledBody)
     x = body.mesh.points @ rotation_about(np.array([1.0, 2.0, -1.0]), turn).T
     cells, G, _, mu, lam = body._cells
-    tangent, _ = body._turning_kernels.bounds(x, cells, G, mu, lam)
+    tangent, _ = body._frame_error_kernels.bound_frame_error(x, cells, G, mu, lam)
     assert tangent == pytest.approx(np.tan(turn) / 2, rel=1e-6)  # |a| / (2 (tr S - s)) with s = 1, the axis
 
 
@@ -90,9 +90,9 @@ def test_what_is_not_a_number_has_turned_without_bound(d: int) -> None:
     x = body.mesh.points.copy()
     x[-1, 0] = np.nan
     R, S = np.empty((2, *body.rotations(x).shape))
-    assert body.turning_bound(x) == np.inf
+    assert body.bound_frame_error(x) == np.inf
     for used in (None, R):
-        turned = body.turning(x, used, S)
+        turned = body.measure_frame_error(x, used, S)
         assert turned.indicator == turned.from_rest == np.inf
 
 

@@ -79,7 +79,7 @@ def test_damping_of_the_thesis_bar_is_a_third_of_critical():
 @MESHES
 def test_an_unforced_linear_step_loses_half_the_squares_of_its_changes(mesh, mass):
     body = solid(mesh, held=[0, 1], mass=mass)
-    K = body.pattern.matrix(body.linearise(mesh.points)[1])
+    K = body.pattern.matrix(body.linearize(mesh.points)[1])
     v = np.where(body.free_mask[:, None], RNG.standard_normal(mesh.points.shape), 0.0)
     states = motion(body, 0.01, 20, v)
     start = energy(body, states[0])
@@ -172,7 +172,7 @@ def test_one_solve_is_the_thesis_formula_with_its_signs_mended():
     load = body_force(thesis_bar(), 1000.0 * GRAVITY)
     body = clamped_bar(load=load, **METHODS["polar"])
     state = motion(body, 0.07, 3, thrown(body))[-1]
-    f, K = body.linearise(state.x)
+    f, K = body.linearize(state.x)
     M, K = (body.pattern.matrix(A).toarray() for A in (body.mass, K))
     free = (3 * body.free[:, None] + np.arange(3)).ravel()
     b = (body.momentum(state.v) + 0.07 * (load + f)).ravel()[free]
@@ -202,14 +202,14 @@ def test_a_linear_run_factors_once_and_extracts_no_rotation(monkeypatch):
     for _ in range(10):
         state, report = prepared.step(state)
         work += report.work
-    assert work == Work(steps=10, solves=10, iterations=10, factorisations=1)
+    assert work == Work(steps=10, solves=10, iterations=10, factorizations=1)
 
 
 @pytest.mark.parametrize("passes", [1, 3])
 def test_every_pass_of_a_corotational_step_is_one_factor_one_solve_and_one_extraction(passes):
     body = clamped_bar(**METHODS["polar"])
     _, report = stepper(body, 0.07, iterations=passes).step(State(0, body.mesh.points, thrown(body)))
-    assert report.work == Work(steps=1, solves=passes, iterations=passes, factorisations=passes, rotations=passes)
+    assert report.work == Work(steps=1, solves=passes, iterations=passes, factorizations=passes, rotations=passes)
 
 
 @METHOD

@@ -144,5 +144,5 @@ def test_a_step_is_one_solve_and_the_linear_law_factors_twice_in_all(method):
         state, report = prepared.step(state)
         work += report.work
     linear = method == "linear"
-    wanted = Work(steps=5, solves=5, iterations=5, factorisations=2 if linear else 5, rotations=0 if linear else 5)
+    wanted = Work(steps=5, solves=5, iterations=5, factorizations=2 if linear else 5, rotations=0 if linear else 5)
     assert work == wanted

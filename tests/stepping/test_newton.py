@@ -64,7 +64,7 @@ def test_the_exact_stiffness_is_the_derivative_of_the_forces_wherever_the_body_i
     x = mesh.points @ F.T + 0.02 * RNG.standard_normal(mesh.points.shape)
     body = solid(mesh, **METHODS["polar"])
     assert (np.sign(np.linalg.det(deformation_gradient(mesh, x))) == np.sign(stretches[2])).all()
-    K = body.pattern.matrix(body.linearise(x, kind="exact")[1]).toarray()
+    K = body.pattern.matrix(body.linearize(x, kind="exact")[1]).toarray()
     step = 1e-6  # of cells of 1 m: errs by 1e-12 of the third derivative and by 1e-10 of rounding
     units = step * np.eye(x.size).reshape(-1, *x.shape)
     differences = np.stack([(body.force(x + u) - body.force(x - u)).ravel() / (2 * step) for u in units], axis=1)
@@ -168,7 +168,7 @@ def test_every_iteration_is_one_factor_and_one_solve_and_a_body_at_rest_needs_no
     _, report = stepper(body, DT, iterations="converged").step(state)
     work, n = report.work, report.work.iterations
     assert 2 <= n <= 15
-    assert (work.steps, work.solves, work.factorisations) == (1, n, n)
+    assert (work.steps, work.solves, work.factorizations) == (1, n, n)
     free = solid(body.mesh, **METHODS["polar"])
     resting, report = stepper(free, DT, iterations="converged").step(State(0, body.mesh.points, 0 * state.v))
     assert report == StepReport(Work(steps=1)) and np.array_equal(resting.x, body.mesh.points)

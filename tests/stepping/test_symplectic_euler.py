@@ -91,7 +91,7 @@ def test_the_bound_over_cells_is_below_the_limit_which_is_that_of_the_dense_matr
     }
     body = solid(mesh, held=nodes[held], mass="lumped", **METHODS["polar"])
     free = (d * body.free[:, None] + np.arange(d)).ravel()
-    K = body.pattern.matrix(body.linearise(mesh.points)[1]).toarray()[np.ix_(free, free)]
+    K = body.pattern.matrix(body.linearize(mesh.points)[1]).toarray()[np.ix_(free, free)]
     root = np.sqrt(np.repeat(body.lumped_mass, d)[free])
     dense = 2 / np.sqrt(np.linalg.eigvalsh(K / root / root[:, None])[-1])
     assert true_limit(body) == pytest.approx(dense, rel=1e-8)

@@ -94,7 +94,7 @@ def test_felupe_assembles_the_matrix_that_is_ours_at_rest(cases_folder, monkeypa
     assert row["tets"] == 18 and row["version"] == version("felupe") and "no step" in row["differs"]
     assert row["ms"] > 0 and row["ours_ms"] > 0 and row["ns_per_tet"] == pytest.approx(1e6 * row["ms"] / 18)
     body = cost.build_point(point(cases_folder, "one_solve")).body
-    ours = body.pattern.matrix(body.linearise(body.mesh.points)[1])
+    ours = body.pattern.matrix(body.linearize(body.mesh.points)[1])
     assert abs(seen[0].assemble.matrix() - ours).max() < 1e-12 * abs(ours).max()
 
 

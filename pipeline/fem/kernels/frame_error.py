@@ -11,7 +11,7 @@ from pipeline.fem.kernels.tetrahedron import _gradients, _stresses
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def turning(x, cells, G, mu, lam, used, reached):
+def measure_frame_error(x, cells, G, mu, lam, used, reached):
     """Write the polar rotations R into reached (e, 3, 3); return three numbers over all cells.
 
     They are the least tr(U^T R), the largest |P(F,R) - P(F,U)|, and the least tr R; traces are NaN where x is. U are
@@ -41,7 +41,7 @@ def turning(x, cells, G, mu, lam, used, reached):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def bounds(x, cells, G, mu, lam):
+def bound_frame_error(x, cells, G, mu, lam):
     """Return what tan(angle / 2) and |P(F,R) - P(F,I)| do not exceed in any cell, without finding R.
 
     With S = sym F, the axial vector a of F - F^T, and s the largest eigenvalue of S, which is at most

@@ -4,7 +4,7 @@
 
 whose factors mu + c / A_i are bounded, and left out if negative, where that is asked for. For dF = du (x) grad N_b, up
 to its sign, q . a = R (q x grad N_b) . du for every q. Numba notices changes of this file, not of
-kernels.py, whose functions are compiled into these: `make clean` after one.
+tetrahedron.py, whose functions are compiled into these: `make clean` after one.
 """
 
 import numpy as np
@@ -57,7 +57,7 @@ def _factors(A, mu, c, crease, projected, Q, H):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _turned_gradients(G, R, lane, w):
+def _cross_gradients(G, R, lane, w):
     """Write R (q x grad N_b) of the four corners and of q = e_0, e_1, e_2, columns, into w (4, 3, 3); sums are zero."""
     for i in range(3):
         r0, r1, r2 = R[3 * i, lane], R[3 * i + 1, lane], R[3 * i + 2, lane]
@@ -69,7 +69,7 @@ def _turned_gradients(G, R, lane, w):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
+def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
     """Add scale times the term above to A (blocks, 3, 3); negative factors are left out if projected."""
     F, R, _, _, root, good, C = _lanes()
     S, Q, H, w = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3, 3))
@@ -84,7 +84,7 @@ def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
                 for j in range(3):
                     S[i, j] = (trace if i == j else 0.0) - S[i, j]
             _factors(S, mu, lam * (trace - 3.0) - 2.0 * mu, crease, projected, Q, H)
-            _turned_gradients(G[first // LANES], R, l, w)
+            _cross_gradients(G[first // LANES], R, l, w)
             _add_squares(scale * V[first + l], H, w, pairs[first + l], A)
 
 

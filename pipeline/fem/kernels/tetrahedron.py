@@ -4,7 +4,7 @@ Each does in one pass over the cells what the numpy lines beside it in laws.py a
 two together. Compiled once a machine (cached beside this file), not once a run. `rotation` is POLAR,
 GRAM_SCHMIDT, or, for the linear law, IDENTITY.
 
-Cells are done LANES at once, entries first, as in rotation_kernels.py, which finds their rotations; gathering from
+Cells are done LANES at once, entries first, as in rotation.py, which finds their rotations; gathering from
 nodes and scattering to them goes cell by cell.
 """
 
@@ -132,7 +132,7 @@ def _scatter_stiffness(G, vm, vl, R, lane, blocks, g, A):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def linearise(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
+def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
     """Write forces into f (n, 3), add scale times the frozen stiffness to A (blocks, 3, 3).
 
     The rotations are Rs (e, 3, 3) if given, else those of x.

@@ -1,7 +1,7 @@
 r"""Compiled kernels for triangles under the corotational law, by the names that tetrahedra have.
 
 In the plane everything is short enough to write out cell by cell. With F = [[a, b], [c, d]] the polar rotation is
-that of the vector (a + d, c - b). Arguments are those of kernels.py, turning_kernels.py and tangent_kernels.py.
+that of the vector (a + d, c - b). Arguments are those of tetrahedron.py, frame_error.py and tangent.py.
 """
 
 import numpy as np
@@ -61,7 +61,7 @@ def _stress(F, R, mu, lam):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _given(R, e):
+def _load(R, e):
     return R[e, 0, 0], R[e, 1, 0]
 
 
@@ -103,7 +103,7 @@ def force(x, cells, G, V, mu, lam, rotation, f):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def linearise(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
+def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
     """Write forces into f (n, 2), add scale times the frozen stiffness to A (blocks, 2, 2).
 
     A cell gives V mu ((G_a . G_b) I + g_b g_a^T) + V lam g_a g_b^T, g = R G, to the block (a, b <= a). The rotations
@@ -113,9 +113,9 @@ def linearise(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
     g = np.empty((3, 2))
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        R = _given(Rs, e) if given else _rotation(rotation, F)
+        R = _load(Rs, e) if given else _rotation(rotation, F)
         _scatter_force(cells[e], G[e], V[e], _stress(F, R, mu, lam), f)
-        _turned(G[e], R[0], R[1], g)
+        _rotate_gradients(G[e], R[0], R[1], g)
         vm, vl, k = scale * V[e] * mu, scale * V[e] * lam, 0
         for a in range(3):
             for b in range(a + 1):
@@ -129,7 +129,7 @@ def linearise(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _turned(G, cosine, sine, g):
+def _rotate_gradients(G, cosine, sine, g):
     """Write R G of the three corners into g (3, 2); they sum to zero."""
     for a in range(2):
         g[a + 1, 0] = cosine * G[a, 0] - sine * G[a, 1]
@@ -138,7 +138,7 @@ def _turned(G, cosine, sine, g):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
+def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
     """Add scale times what the exact tangent has beyond the frozen one to A; negative factors not if projected.
 
     It is (mu + c / tr S) w_a w_b^T, w_a = R W grad N_a with the quarter turn W, c = lam (tr S - 2) - 2 mu.
@@ -152,7 +152,7 @@ def add_turning(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
         factor = mu + c / max(trace, max(abs(c) / (crease * mu), 2.2250738585072014e-308))
         if projected and factor <= 0.0:
             continue
-        _turned(G[e], -sine, cosine, w)
+        _rotate_gradients(G[e], -sine, cosine, w)
         k = 0
         for a in range(3):
             for b in range(a + 1):
@@ -194,7 +194,7 @@ def _apart(F, R, U, mu, lam):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def turning(x, cells, G, mu, lam, used, reached):
+def measure_frame_error(x, cells, G, mu, lam, used, reached):
     """Write the polar rotations R into reached (e, 2, 2); return three numbers over all cells.
 
     They are the least tr(U^T R), the largest |P(F,R) - P(F,U)|, and the least tr R; traces are NaN where x is. U are
@@ -204,7 +204,7 @@ def turning(x, cells, G, mu, lam, used, reached):
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
         R = _polar(F)
-        U = _given(used, e) if len(used) > 0 else (1.0, 0.0)
+        U = _load(used, e) if len(used) > 0 else (1.0, 0.0)
         least = min(least, 2.0 * (R[0] * U[0] + R[1] * U[1]))
         apart = _apart(F, R, U, mu, lam)
         largest, own, finite = max(largest, apart), min(own, 2.0 * R[0]), finite + 0.0 * apart
@@ -213,7 +213,7 @@ def turning(x, cells, G, mu, lam, used, reached):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def bounds(x, cells, G, mu, lam):
+def bound_frame_error(x, cells, G, mu, lam):
     """Return the largest tan(angle / 2) and |P(F,R) - P(F,I)|: in the plane R is so cheap that they are no bounds."""
     tangent, largest, finite = 0.0, 0.0, 0.0
     for e in range(len(cells)):

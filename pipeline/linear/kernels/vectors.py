@@ -98,7 +98,7 @@ def by_blocks(D, r, Ap, z):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def turn(Q, r, order, size, y):
+def rotate_back(Q, r, order, size, y):
     """Write Q^T r / size into y (n d,) in single precision, its nodes in the given order."""
     d = r.shape[1]
     for k in range(len(order)):
@@ -111,7 +111,7 @@ def turn(Q, r, order, size, y):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def turn_back(Q, y, order, size, r, Ap, z):
+def rotate_forth(Q, y, order, size, r, Ap, z):
     """Write size Q y into z (n, d); return z . r and z . A p."""
     d = r.shape[1]
     zr = zAp = 0.0

@@ -43,7 +43,7 @@ class Peer(NamedTuple):
 
 
 def _measure_felupe(problem: Problem) -> PeerCosts:
-    """Return the costs of felupe's stiffness of linear elasticity at rest, and of our linearisation."""
+    """Return the costs of felupe's stiffness of linear elasticity at rest, and of our linearization."""
     import felupe
 
     body, material = problem.body, problem.body.material
@@ -56,7 +56,7 @@ def _measure_felupe(problem: Problem) -> PeerCosts:
     stepper, state = problem.prepare(), problem.start
     for _ in range(_WARM_STEPS):
         state, _ = stepper.step(state)
-    ours = measure_median_ms(lambda: body.linearise(state.x))
+    ours = measure_median_ms(lambda: body.linearize(state.x))
     return PeerCosts(measure_median_ms(lambda: solid.assemble.matrix(field)), ours, setup)
 
 

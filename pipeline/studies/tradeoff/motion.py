@@ -21,7 +21,7 @@ from pipeline.results.variant_run import result_settings
 from pipeline.run.frame import Frame
 from pipeline.run.frames import frames
 
-COUNTS = ("steps", "solves", "iterations", "factorisations", "rotations")
+COUNTS = ("steps", "solves", "iterations", "factorizations", "rotations")
 _ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")
 _LEAST_SECONDS, _MOST_SECONDS = (
     0.5,
