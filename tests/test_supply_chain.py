@@ -1,4 +1,4 @@
-"""What is installed with us: licences listed, versions pinned with hashes, no network; the same bytes every time."""
+"""What is installed with us: licenses listed, versions pinned with hashes, no network; the same bytes every time."""
 
 import os
 import re
@@ -47,13 +47,13 @@ def needed(roots: list[str]) -> set[str]:
     return found
 
 
-def licences() -> dict[str, str]:
-    text = (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
+def read_licenses() -> dict[str, str]:
+    text = (ROOT / "docs" / "licenses.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| (\S+) \| (.+?) \|$", text, flags=re.M))
-    return {name: licence for name, licence in rows.items() if name not in ("package", "---")}
+    return {name: terms for name, terms in rows.items() if name not in ("package", "---")}
 
 
-def test_every_package_at_run_time_is_listed_with_its_licence():
+def test_every_package_at_run_time_is_listed_with_its_license():
     extras = PROJECT["optional-dependencies"]
     optional = []
     permissive = [text for name in extras if name not in ("bench", "dev", "docs", "mkl") for text in extras[name]]
@@ -63,9 +63,9 @@ def test_every_package_at_run_time_is_listed_with_its_licence():
             optional.append(text)
         except PackageNotFoundError:  # an extra need not be installed
             pass
-    told, installed = licences(), needed([*PROJECT["dependencies"], *optional])
-    assert installed - told.keys() == set(), "not in docs/licences.md"
-    assert told.keys() - installed <= {normal(Requirement(text).name) for text in permissive}
+    listed, installed = read_licenses(), needed([*PROJECT["dependencies"], *optional])
+    assert installed - listed.keys() == set(), "not in docs/licenses.md"
+    assert listed.keys() - installed <= {normal(Requirement(text).name) for text in permissive}
     for name in installed:
         metadata = distribution(name).metadata
         said = " ".join(
@@ -74,8 +74,8 @@ def test_every_package_at_run_time_is_listed_with_its_licence():
             for line in metadata.get_all(key, [])
             if key != "Classifier" or line.startswith("License")
         )
-        family = re.match(r"[A-Za-z]+", told[name])[0]
-        assert re.search(WORDS[family], said), f"{name}: {told[name]} here, there {said}"
+        family = re.match(r"[A-Za-z]+", listed[name])[0]
+        assert re.search(WORDS[family], said), f"{name}: {listed[name]} here, there {said}"
         assert not re.search(r"\bA?GPL", said), name
 
 
