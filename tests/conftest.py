@@ -1,4 +1,4 @@
-"""What every test gets: paths, VTK's errors as failures, OpenGL and a browser found before they are needed."""
+"""Fixtures of all tests: paths, VTK's errors as failures, OpenGL and a browser checked before they are needed."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ SKIP_OPENGL = os.environ.get("PIPELINE_SKIP_OPENGL") == "1"
 SKIP_BROWSER = os.environ.get("PIPELINE_SKIP_BROWSER") == "1"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
-# The same examples every time, on slow machines too: a failure seen once is seen again.
+# the same examples every time, on slow machines too: a failure can be repeated
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
 
@@ -41,7 +41,7 @@ def cases_folder() -> Path:
 
 @pytest.fixture(scope="module")
 def ratios(cases_folder: Path) -> Callable[[str, str], np.ndarray]:
-    """(case, variant) -> volume ratios (101, cells) of the whole run, solved once."""
+    """A function (case, variant) -> volume ratios (101, cells) of the whole run, solved once."""
 
     @cache
     def of(case: str, variant: str) -> np.ndarray:
@@ -74,7 +74,7 @@ def installed(tmp_path: Path, project_root: Path) -> dict[str, str]:
 
 @pytest.fixture
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files of others are read in this process, where a test can change what reads them."""
+    """Reads foreign files in this process, so that a test can change their reader."""
 
     def here(self: Reader, function: str, file: Path, *arguments: object, error: type[PipelineError]) -> Any:
         module, _, name = function.partition(":")
@@ -85,7 +85,7 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def _vtk_error_log() -> list[str]:
-    """Every text that VTK's C++ side reports as an error, which would else go to a log and the test pass."""
+    """Every text that VTK's C++ side reports as an error; otherwise it would go to a log and the test would pass."""
     import pyvista  # first: its import puts a window of its own in place
     from vtkmodules.vtkCommonCore import vtkCommand, vtkStringOutputWindow
 
@@ -95,7 +95,7 @@ def _vtk_error_log() -> list[str]:
     def note(_window: object, _event: str, text: str) -> None:
         log.append(text.strip())
 
-    note.CallDataType = "string0"  # type: ignore[attr-defined]  # how VTK is told to hand over the text
+    note.CallDataType = "string0"  # type: ignore[attr-defined]  # makes VTK pass the text
     window = vtkStringOutputWindow()
     window.AddObserver(vtkCommand.ErrorEvent, note)
     vtkStringOutputWindow.SetInstance(window)
@@ -104,7 +104,7 @@ def _vtk_error_log() -> list[str]:
 
 @pytest.fixture(autouse=True)
 def vtk_errors(_vtk_error_log: list[str]) -> Iterator[list[str]]:
-    """VTK's errors in this test, which fail it; a test that expects some looks at them and clears them."""
+    """VTK's errors in this test, which fail it; a test that expects some checks and clears them."""
     _vtk_error_log.clear()
     yield _vtk_error_log
     if _vtk_error_log:
@@ -135,7 +135,7 @@ def _need_opengl() -> None:
     try:
         ensure_opengl()
     except OutputError as error:
-        missing = f"{error}. PIPELINE_SKIP_OPENGL=1 skips these tests aloud"
+        missing = f"{error}. PIPELINE_SKIP_OPENGL=1 skips these tests with a message"
     if missing:
         pytest.fail(missing, pytrace=False)
 
@@ -146,6 +146,6 @@ def _need_browser() -> None:
     if browser_path() is None:
         pytest.fail(
             f"no browser ({', '.join(BROWSERS)}); on Debian: apt-get install -y --no-install-recommends chromium. "
-            "PIPELINE_SKIP_BROWSER=1 skips these tests aloud",
+            "PIPELINE_SKIP_BROWSER=1 skips these tests with a message",
             pytrace=False,
         )

@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_limits
 from pipeline.errors import PipelineError, quote_value
 from pipeline.formats.atomic import write_whole
 from pipeline.results.lock import lock_folder
+from pipeline.system.threads import make_thread_environment
 from pipeline.system.version import VERSION
 
 PointResult = dict[str, Any]
@@ -32,7 +33,6 @@ log = logging.getLogger(__name__)
 _FILE_SAFE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}")
 # a second death on the same point, with others about, is reason enough to try it alone
 _ALLOWED_FAILURES = 1
-_THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA")
 # Ctrl-C reaches every process of the terminal; this one closes the others
 _IGNORE_INTERRUPTS = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
 _CONNECT_SECONDS = 10
@@ -169,7 +169,7 @@ def _open_client(scheduler: str | None, most: int) -> Iterator[Any]:
         return
     # a worker that is paused for its memory would never end; one that is killed for it does
     asked = {"n_workers": min(most, dask.system.CPU_COUNT), "threads_per_worker": 1, "memory_limit": 0}
-    environment = {f"{name}_NUM_THREADS": "1" for name in _THREADS}
+    environment = make_thread_environment(1)
     spoken = logging.getLogger("distributed")
     level = spoken.level
     spoken.setLevel(logging.CRITICAL)  # a worker that dies is told by its point

@@ -1,4 +1,4 @@
-"""Whatever a file says: a result, or one line and the right exit code; no traceback, nothing written elsewhere.
+"""Any file gives a result, or one line and the right exit code; no traceback, nothing written elsewhere.
 
 `make fuzz` tries 10 000 (PIPELINE_FUZZ); tests/fuzzing.py makes them.
 """
@@ -29,7 +29,7 @@ FIGURES = os.environ.get("PIPELINE_FUZZ_FIGURES")  # a file: how each example en
 
 @pytest.fixture(autouse=True)
 def _bounded(monkeypatch):
-    """The memory that an example may add to this process, and figures left out."""
+    """Limits the memory that an example may add to this process; figures are left out."""
     without_figures(monkeypatch)
     monkeypatch.setattr(reader, "_LEAST_SECONDS", 5.0)
     before = resource.getrlimit(resource.RLIMIT_AS)
@@ -41,7 +41,7 @@ def _bounded(monkeypatch):
 
 @pytest.fixture
 def clock():
-    """Starts a clock that ends what hangs, with where it hangs."""
+    """Starts a clock that raises TimeoutError in an example that hangs."""
 
     def late(*_):
         raise TimeoutError(f"more than {SECONDS} s")
@@ -54,7 +54,7 @@ def clock():
 
 @pytest.fixture
 def tally(request):
-    """Counts how examples ended; told to the file that PIPELINE_FUZZ_FIGURES names."""
+    """Counts how examples ended, in the file named by PIPELINE_FUZZ_FIGURES."""
     counts = Counter()
     yield counts
     if FIGURES:

@@ -1,4 +1,4 @@
-"""Files of others are checked, then read in a child: it may die, hang or want everything; the caller gets one line."""
+"""Foreign files are checked, then read in a child: it may die, hang or take all memory; the caller gets one line."""
 
 import os
 import re
@@ -51,7 +51,7 @@ def processes(file): return os.getpid()
 
 @pytest.fixture
 def child(tmp_path, monkeypatch):
-    """A reader of its own whose child knows the module `bad`, and the file that it is asked about."""
+    """A function that asks a new Reader, whose child can import the module `bad`, about a file."""
     (tmp_path / "bad.py").write_text(BAD)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("TRACE", str(tmp_path / "trace"))
@@ -66,14 +66,14 @@ def child(tmp_path, monkeypatch):
     own.close()
 
 
-def refused(ask, name, *arguments):
+def read_error(ask, name, *arguments):
     with pytest.raises(SeriesError) as caught:
         ask(name, *arguments)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
-def test_what_a_child_answers_comes_over_as_it_is(child):
+def test_answers_arrive_unchanged(child):
     assert child("size") == 5
     got = child("arrays")
     assert got["a"].tolist() == [[0, 1, 2], [3, 4, 5]] and got["a"].flags.writeable
@@ -81,21 +81,21 @@ def test_what_a_child_answers_comes_over_as_it_is(child):
     assert child("loud") == "quiet"
 
 
-def test_what_is_no_text_in_the_path_is_left_out(child, monkeypatch):
+def test_entries_of_sys_path_that_are_no_text_are_ignored(child, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path, Path("/nowhere")])
-    test_what_a_child_answers_comes_over_as_it_is(child)
+    test_answers_arrive_unchanged(child)
 
 
 @pytest.mark.parametrize("name", ["SIGSEGV", "SIGABRT", "SIGBUS", "SIGKILL"])
-def test_a_death_is_told_by_its_name_and_the_next_file_is_read(child, name):
+def test_a_death_is_reported_by_its_signal_and_the_next_file_is_read(child, name):
     import signal
 
     first = child("processes")
-    text = refused(child, "die", int(getattr(signal, name)))
+    text = read_error(child, "die", int(getattr(signal, name)))
     assert "it.vtu: the reader " in text
     assert "was killed" in text if name == "SIGKILL" else f"died ({name})" in text
     assert child("size") == 5 and child("processes") != first
-    assert "exit code 7" in refused(child, "leave")
+    assert "exit code 7" in read_error(child, "leave")
     assert child("size") == 5
 
 
@@ -103,8 +103,8 @@ def test_time_is_limited(child, monkeypatch):
     child("size")
     monkeypatch.setattr(reader, "_LEAST_SECONDS", 0.5)
     began = time.monotonic()
-    assert "took longer than 1 s" in refused(child, "hang")
-    assert "took longer" in refused(child, "spin")
+    assert "took longer than 1 s" in read_error(child, "hang")
+    assert "took longer" in read_error(child, "spin")
     assert time.monotonic() - began < 50
     monkeypatch.undo()
 
@@ -112,20 +112,20 @@ def test_time_is_limited(child, monkeypatch):
 def test_memory_is_limited_and_the_limit_can_be_raised(child, monkeypatch):
     monkeypatch.setenv(GIGABYTES, "0.5")
     before = child("processes")
-    assert f"takes more than 0.5 GB of memory; {GIGABYTES} allows more" in refused(child, "hog")
+    assert f"takes more than 0.5 GB of memory; {GIGABYTES} allows more" in read_error(child, "hog")
     assert child("processes") == before  # an array that is too large is no death
     monkeypatch.setenv(GIGABYTES, "junk")
     assert reader._memory_limit(0) == 2 * 10**9 and reader._memory_limit(10**9) == 40 * 10**9
 
 
 def test_errors_of_parsers_and_our_own(child):
-    assert "cannot be read (KeyError: 'no\\nsuch key')" in refused(child, "stumble")
+    assert "cannot be read (KeyError: 'no\\nsuch key')" in read_error(child, "stumble")
     with pytest.raises(MeshError, match=r"^no mesh$"):
         child("refuse")
 
 
-def test_an_answer_that_would_run_something_is_not_taken(child, tmp_path):
-    assert "makes no sense" in refused(child, "clever")
+def test_an_answer_that_would_run_code_is_read_error(child, tmp_path):
+    assert "makes no sense" in read_error(child, "clever")
     assert not (tmp_path / "trace").exists()
     assert child("size") == 5
 
@@ -144,7 +144,7 @@ def test_an_interruption_ends_the_child(child, monkeypatch):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
-def test_a_forked_process_has_a_child_of_its_own(tmp_path):
+def test_a_forked_process_starts_its_own_child(tmp_path):
     code = (
         "import os, sys\nfrom pathlib import Path\nfrom pipeline.errors import SeriesError\n"
         "from pipeline.formats.sandbox import SHARED_READER\n"
@@ -157,7 +157,7 @@ def test_a_forked_process_has_a_child_of_its_own(tmp_path):
     assert run.returncode == 0, run.stderr
 
 
-def test_a_child_follows_to_another_folder_and_messages_say_the_name_that_was_given(tmp_path, monkeypatch):
+def test_relative_paths_work_after_chdir_and_stay_relative_in_messages(tmp_path, monkeypatch):
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         monkeypatch.chdir(tmp_path / name)
@@ -170,7 +170,7 @@ def test_a_child_follows_to_another_folder_and_messages_say_the_name_that_was_gi
         read_mesh(Path("b.vtk"))
 
 
-# What is seen before anything is read
+# Checks before reading
 
 
 def declared(folder, *, points="27", cells="1000000000", compressor='compressor="vtkZLibDataCompressor"'):
@@ -185,7 +185,7 @@ def declared(folder, *, points="27", cells="1000000000", compressor='compressor=
 
 @pytest.mark.parametrize("points", ["27", "1000000000", "9" * 30])
 @pytest.mark.parametrize("compressor", ['compressor="vtkZLibDataCompressor"', 'compressor="vtkLZMADataCompressor"', ""])
-def test_a_billion_cells_in_a_small_file_are_not_believed(tmp_path, points, compressor):
+def test_a_billion_cells_in_a_small_file_are_refused(tmp_path, points, compressor):
     file = declared(tmp_path, points=points, compressor=compressor)
     with pytest.raises(SeriesError, match=r"declares \d+ points and 1000000000 cells, more than its \d+ bytes"):
         read_series(tmp_path)
@@ -193,7 +193,7 @@ def test_a_billion_cells_in_a_small_file_are_not_believed(tmp_path, points, comp
         read_mesh(file)
 
 
-def test_points_of_a_legacy_file_too(tmp_path):
+def test_a_billion_points_in_a_legacy_file_are_refused(tmp_path):
     make_grid(0).save(tmp_path / "f0.vtk", binary=False)
     text = (tmp_path / "f0.vtk").read_text()
     (tmp_path / "f0.vtk").write_text(re.sub(r"POINTS \d+", "POINTS 1000000000", text))
@@ -226,7 +226,7 @@ def test_entities_in_wide_characters_are_refused(tmp_path, name, encoding):
 
 
 @pytest.mark.parametrize("before", ["<!-- <a> -->", "<?b <a> ?>"])
-def test_entities_behind_what_is_no_element_are_refused(tmp_path, before):
+def test_entities_after_comments_and_instructions_are_refused(tmp_path, before):
     text = BOMB.replace("?>", "?>" + before, 1) + "<VTKFile>&k;</VTKFile>"
     (tmp_path / "it.pvd").write_text(text)
     with pytest.raises(SeriesError, match="declares entities"):
@@ -243,7 +243,7 @@ def test_entities_behind_what_is_no_element_are_refused(tmp_path, before):
         ("C:\\f0.vtu", True), ("\\\\server\\f0.vtu", True), ("..", True),
     ],
 )  # fmt: skip
-def test_names_that_leave_the_folder(name, bad):
+def test_names_outside_the_folder_are_recognized(name, bad):
     assert bool(find_outside_name(name)) == bad
 
 
@@ -309,7 +309,7 @@ def test_our_own_frames_need_no_child(tmp_path, monkeypatch):
         read_series(folder)
 
 
-def test_meshes_of_meshio_come_over_whole(tmp_path):
+def test_meshes_of_meshio_arrive_unchanged(tmp_path):
     meshio.write(tmp_path / "a.msh", meshio.Mesh(make_grid(0).points, [("tetra", CELLS)]), file_format="gmsh")
     mesh = read_mesh(tmp_path / "a.msh")
     assert np.array_equal(mesh.cells, CELLS)
@@ -325,7 +325,7 @@ def test_meshes_of_meshio_come_over_whole(tmp_path):
         ("connectivity", "0 ", "-5 ", r"refers to point|cannot be read|the reader died"),
     ],
 )
-def test_cells_that_are_none(tmp_path, name, old, new, words):
+def test_damaged_cells_are_one_line(tmp_path, name, old, new, words):
     import vtk
 
     writer = vtk.vtkXMLUnstructuredGridWriter()

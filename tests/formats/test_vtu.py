@@ -1,4 +1,4 @@
-"""Inline .vtu read without VTK: the same numbers as VTK's, nothing else taken for one, damage told."""
+"""Inline .vtu read without VTK: the same numbers as VTK's, other encodings left to VTK, damage reported."""
 
 import random
 import tracemalloc
@@ -30,7 +30,7 @@ from tests.series.test_series import (
 )
 
 
-def rich(t: float = 0.1) -> pyvista.UnstructuredGrid:
+def make_rich_grid(t: float = 0.1) -> pyvista.UnstructuredGrid:
     """A frame with a field of every kind."""
     grid = make_grid(t, numbers=True)
     rng = np.random.default_rng(1)
@@ -44,7 +44,7 @@ def rich(t: float = 0.1) -> pyvista.UnstructuredGrid:
     return grid
 
 
-def saved(grid, path, *, mode="inline", compressor="zlib", order="little", ids=64, header=32):
+def save_grid(grid, path, *, mode="inline", compressor="zlib", order="little", ids=64, header=32):
     writer = vtk.vtkXMLUnstructuredGridWriter()
     writer.SetFileName(str(path))
     writer.SetInputData(grid)
@@ -79,15 +79,17 @@ def assert_same(path):
 @pytest.mark.parametrize("order", ["little", "big"])
 @pytest.mark.parametrize("header", [32, 64])
 @pytest.mark.parametrize("compressor", ["zlib", "none"])
-def test_the_numbers_are_those_that_vtk_reads(tmp_path, order, header, compressor):
+def test_numbers_equal_those_of_vtk(tmp_path, order, header, compressor):
     ids = 32 if order == "big" else 64
-    assert_same(saved(rich(), tmp_path / "f.vtu", order=order, header=header, compressor=compressor, ids=ids))
+    assert_same(
+        save_grid(make_rich_grid(), tmp_path / "f.vtu", order=order, header=header, compressor=compressor, ids=ids)
+    )
 
 
-def test_other_writers_too(tmp_path):
+def test_files_of_other_writers_equal_those_of_vtk(tmp_path):
     import meshio
 
-    rich().save(tmp_path / "pyvista.vtu")
+    make_rich_grid().save(tmp_path / "pyvista.vtu")
     assert_same(tmp_path / "pyvista.vtu")
     data = {"u": move_points(0.3), "k": np.arange(len(POINTS))}
     for compression in ("zlib", None):
@@ -102,16 +104,16 @@ def test_other_writers_too(tmp_path):
 
 
 @pytest.mark.parametrize("way", [{"mode": "ascii"}, {"mode": "appended"}, {"compressor": "lz4"}])
-def test_what_is_written_otherwise_is_left_to_vtk(tmp_path, way):
-    path = saved(rich(), tmp_path / "f.vtu", **way)
+def test_other_encodings_are_left_to_vtk(tmp_path, way):
+    path = save_grid(make_rich_grid(), tmp_path / "f.vtu", **way)
     assert read_inline(path) is None and readers.read_grid(path).point_data["speed"][-1] == 1
 
 
 def test_ghost_cells_pieces_and_doctypes_are_left_to_vtk(tmp_path):
-    grid = rich()
+    grid = make_rich_grid()
     grid.cell_data["vtkGhostType"] = np.zeros(len(CELLS), dtype=np.uint8)
-    assert read_inline(saved(grid, tmp_path / "ghosts.vtu")) is None
-    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    assert read_inline(save_grid(grid, tmp_path / "ghosts.vtu")) is None
+    text = save_grid(make_rich_grid(), tmp_path / "f.vtu").read_text()
     start, end = text.index("<Piece"), text.index("</Piece>") + len("</Piece>")
     for name, changed in {
         "pieces": text[:end] + text[start:end] + text[end:],
@@ -126,12 +128,12 @@ def test_ghost_cells_pieces_and_doctypes_are_left_to_vtk(tmp_path):
 
 
 def long_text(text):
-    """Where the numbers of the array stress begin, long enough to be kept from the XML parser."""
+    """Return where the numbers of the array stress begin, which are long enough to be kept from the XML parser."""
     return text.index(">", text.index('Name="stress"')) + 1
 
 
-def test_numbers_are_found_whatever_xml_stands_about_them(tmp_path, monkeypatch):
-    text = saved(rich(), tmp_path / "f.vtu", compressor="none").read_text()
+def test_numbers_are_found_in_unusual_xml(tmp_path, monkeypatch):
+    text = save_grid(make_rich_grid(), tmp_path / "f.vtu", compressor="none").read_text()
     at = long_text(text)
     first = at + len(text[at:]) - len(text[at:].lstrip())
     ways = {
@@ -145,7 +147,7 @@ def test_numbers_are_found_whatever_xml_stands_about_them(tmp_path, monkeypatch)
         assert changed != text
         (tmp_path / f"{name}.vtu").write_text(changed)
         found = read_inline(tmp_path / f"{name}.vtu").cell_data["stress"]
-        np.testing.assert_array_equal(found, rich().cell_data["stress"])
+        np.testing.assert_array_equal(found, make_rich_grid().cell_data["stress"])
     parsed = []
     plain = vtu_read.ElementTree.fromstring
     monkeypatch.setattr(vtu_read.ElementTree, "fromstring", lambda content: parsed.append(content) or plain(content))
@@ -155,11 +157,11 @@ def test_numbers_are_found_whatever_xml_stands_about_them(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize("said", ["@K", "@ K", "@+K", "@0K", "&#64;K", "@<?x?>K", "@-1", "@99", "@x", "@"])
-def test_what_stands_for_a_text_is_not_taken_from_the_file(tmp_path, said):
-    """K is the place of another array, of the same size: its numbers would do."""
-    grid = rich()
+def test_marks_of_removed_texts_are_refused_in_files(tmp_path, said):
+    """K is the mark of another array of the same size, whose numbers would fit."""
+    grid = make_rich_grid()
     grid.cell_data["other"] = np.random.default_rng(2).normal(size=(len(CELLS), 9))
-    text = saved(grid, tmp_path / "f.vtu", compressor="none").read_text()
+    text = save_grid(grid, tmp_path / "f.vtu", compressor="none").read_text()
     at = long_text(text)
     before, after = text[:at], text[text.index("<", at) :]
     other = after[after.index(">", after.index('Name="other"')) + 1 :].split("<")[0].strip()
@@ -169,7 +171,7 @@ def test_what_stands_for_a_text_is_not_taken_from_the_file(tmp_path, said):
 
 
 def test_many_attributes_take_little_memory(tmp_path):
-    """The regular expression that finds where an attribute ends keeps hundreds of bytes of each."""
+    """The regular expression that finds the ends of attributes keeps hundreds of bytes of each."""
     attributes = ' a=""' * 200_000  # which no parser takes
     (tmp_path / "f.vtu").write_text(f'<?xml version="1.0"?><VTKFile{attributes}>{"A" * 300}</VTKFile>')
     tracemalloc.start()
@@ -181,7 +183,7 @@ def test_many_attributes_take_little_memory(tmp_path):
 
 @pytest.mark.parametrize("name", ["types", "connectivity", "Points"])
 def test_arrays_of_no_components_are_left_to_vtk(tmp_path, name):
-    text = saved(rich(), tmp_path / "f.vtu").read_text()
+    text = save_grid(make_rich_grid(), tmp_path / "f.vtu").read_text()
     start = text.index(f'Name="{name}"')
     end = text.index(">", start)
     none = text[start:end].replace(' NumberOfComponents="3"', "") + ' NumberOfComponents="0"'
@@ -194,16 +196,16 @@ def test_arrays_of_no_components_are_left_to_vtk(tmp_path, name):
         assert len(read_series(tmp_path / "f.vtu")) == 1
 
 
-def test_cells_that_are_no_integers_are_left_to_vtk(tmp_path):
-    text = saved(rich(), tmp_path / "f.vtu").read_text()
+def test_cells_of_floats_are_left_to_vtk(tmp_path):
+    text = save_grid(make_rich_grid(), tmp_path / "f.vtu").read_text()
     changed = text.replace('"Int64" IdType="1" Name="conn', '"Float64" Name="conn')
     assert changed != text
     (tmp_path / "f.vtu").write_text(changed)
     assert read_inline(tmp_path / "f.vtu") is None
 
 
-def test_one_text_does_not_make_all_of_them_long(tmp_path, monkeypatch):
-    words = read_inline(saved(rich(), tmp_path / "f.vtu")).field_data
+def test_a_long_text_does_not_lengthen_all_texts_beyond_the_limit(tmp_path, monkeypatch):
+    words = read_inline(save_grid(make_rich_grid(), tmp_path / "f.vtu")).field_data
     longest = 4 * 2 * len("words <&>")
     monkeypatch.setattr(vtu_read, "_LEAST_BYTES", longest)
     assert words["words"].nbytes == longest
@@ -216,8 +218,8 @@ def test_one_text_does_not_make_all_of_them_long(tmp_path, monkeypatch):
     ("old", "new"),
     [('NumberOfPoints="27"', 'NumberOfPoints="-27"'), ('version="1.0"?', 'version="1.0" encoding="nonsense"?')],
 )
-def test_what_makes_no_sense_is_told_in_one_line(tmp_path, old, new):
-    text = saved(rich(), tmp_path / "f.vtu").read_text()
+def test_nonsense_is_reported_on_one_line(tmp_path, old, new):
+    text = save_grid(make_rich_grid(), tmp_path / "f.vtu").read_text()
     changed = text.replace(old, new, 1).replace('Components="3"', 'Components="-3"')
     assert old in text
     (tmp_path / "f.vtu").write_text(changed)
@@ -227,15 +229,15 @@ def test_what_makes_no_sense_is_told_in_one_line(tmp_path, old, new):
     assert "\n" not in str(caught.value)
 
 
-def test_more_than_the_memory_is_for_the_guarded_child(tmp_path, monkeypatch):
-    path = saved(rich(), tmp_path / "f.vtu")
+def test_files_beyond_memory_are_left_to_the_sandbox(tmp_path, monkeypatch):
+    path = save_grid(make_rich_grid(), tmp_path / "f.vtu")
     monkeypatch.setattr(vtu_read, "_LEAST_BYTES", 1000)
     monkeypatch.setattr(vtu_read, "_BYTES_PER_BYTE", 0)
     assert read_inline(path) is None
 
 
-def test_a_large_file_is_left_to_the_guarded_child_unread(tmp_path, monkeypatch):
-    path = saved(rich(), tmp_path / "f.vtu")
+def test_a_large_file_is_left_unread_to_the_sandbox(tmp_path, monkeypatch):
+    path = save_grid(make_rich_grid(), tmp_path / "f.vtu")
     monkeypatch.setattr(vtu_read, "_LARGEST", path.stat().st_size)
     assert read_inline(path) is not None
     monkeypatch.setattr(vtu_read, "_LARGEST", path.stat().st_size - 1)
@@ -245,8 +247,8 @@ def test_a_large_file_is_left_to_the_guarded_child_unread(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize("many", ["<a/>" * 300_000, "<a " + " ".join(f"a{i}=''" for i in range(150_000)) + "/>"])
-def test_elements_without_number_are_left_to_the_guarded_child(tmp_path, monkeypatch, many):
-    path = saved(rich(), tmp_path / "f.vtu")
+def test_countless_elements_are_left_to_the_sandbox(tmp_path, monkeypatch, many):
+    path = save_grid(make_rich_grid(), tmp_path / "f.vtu")
     path.write_text(path.read_text().replace("<PointData", many + "<PointData", 1))
     assert read_inline(path) is not None
     monkeypatch.setattr(vtu_read, "_MOST_MARKS", 250_000)
@@ -255,22 +257,27 @@ def test_elements_without_number_are_left_to_the_guarded_child(tmp_path, monkeyp
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
 def test_entities_in_wide_characters_are_not_read_inline(tmp_path, encoding):
-    text = saved(rich(), tmp_path / "f.vtu").read_text().partition("?>")[2].replace('Name="speed"', 'Name="&b;"')
+    text = (
+        save_grid(make_rich_grid(), tmp_path / "f.vtu")
+        .read_text()
+        .partition("?>")[2]
+        .replace('Name="speed"', 'Name="&b;"')
+    )
     (tmp_path / "f.vtu").write_bytes(f'<!DOCTYPE a [<!ENTITY b "c">]>{text}'.encode(encoding))
     assert read_inline(tmp_path / "f.vtu") is None
     with pytest.raises(SeriesError, match="UTF-16"):
         read_grid(tmp_path / "f.vtu")
 
 
-def numbers(grid):
+def collect_arrays(grid):
     kinds = ("point_data", "cell_data", "field_data")
     return {"points": grid.points, **{f"{k} {name}": a for k in kinds for name, a in getattr(grid, k).items()}}
 
 
-def test_damage_is_told_and_never_taken_for_numbers(tmp_path):
+def test_damage_is_reported_and_never_read_as_numbers(tmp_path):
     """Any byte changed: refused, left to VTK, or the very numbers (as in names and spaces)."""
-    content = saved(rich(), tmp_path / "f.vtu", header=64).read_bytes()
-    whole = numbers(read_inline(tmp_path / "f.vtu"))
+    content = save_grid(make_rich_grid(), tmp_path / "f.vtu", header=64).read_bytes()
+    whole = collect_arrays(read_inline(tmp_path / "f.vtu"))
     rng, refused = random.Random(3), 0
     for _ in range(300):
         changed = bytearray(content)
@@ -278,7 +285,7 @@ def test_damage_is_told_and_never_taken_for_numbers(tmp_path):
         (tmp_path / "bad.vtu").write_bytes(changed)
         try:
             grid = read_inline(tmp_path / "bad.vtu")
-            read = {} if grid is None else numbers(grid)
+            read = {} if grid is None else collect_arrays(grid)
         except SeriesError as error:
             assert str(error).startswith(str(tmp_path / "bad.vtu")) and "\n" not in str(error)
             refused += 1
@@ -289,7 +296,7 @@ def test_damage_is_told_and_never_taken_for_numbers(tmp_path):
     assert refused > 20
 
 
-def test_a_damaged_field_costs_only_who_asks_for_it(tmp_path):
+def test_a_damaged_field_leaves_the_others_readable(tmp_path):
     source = write_series(tmp_path, numbers=True)
     path = tmp_path / "f1.vtu"
     text = path.read_text()
@@ -302,7 +309,7 @@ def test_a_damaged_field_costs_only_who_asks_for_it(tmp_path):
         dataset["speed"].load()
 
 
-def test_all_fields_cost_one_reading_of_each_frame(tmp_path, monkeypatch):
+def test_reading_all_fields_reads_each_frame_once(tmp_path, monkeypatch):
     counts = []
     read = vtu_read._parse_file
     monkeypatch.setattr(vtu_read, "_parse_file", lambda file: counts.append(file.name) or read(file))
@@ -316,9 +323,9 @@ def test_all_fields_cost_one_reading_of_each_frame(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("mode", ["inline", "appended"])
-def test_points_are_counted_and_cells_held_once(tmp_path, monkeypatch, mode):
+def test_memory_counts_points_and_shares_cells(tmp_path, monkeypatch, mode):
     for i in range(12):
-        saved(make_grid(i / 10), tmp_path / f"f{i:02}.vtu", mode=mode, compressor="none")
+        save_grid(make_grid(i / 10), tmp_path / f"f{i:02}.vtu", mode=mode, compressor="none")
     store = engine.FrameStore(read_series(tmp_path), SerializableLock())
     grids = [store.read_grid(i) for i in range(12)]
     size = grids[0].nbytes
@@ -332,7 +339,7 @@ def test_points_are_counted_and_cells_held_once(tmp_path, monkeypatch, mode):
         assert len(store._cache) == min(i + 1, 5)
 
 
-def test_cells_that_change_are_seen_by_every_field(tmp_path):
+def test_changing_cells_are_reported_by_every_field(tmp_path):
     source = write_series(tmp_path, numbers=True)
     cells = CELLS.copy()
     cells[0] = cells[1]
@@ -343,7 +350,7 @@ def test_cells_that_change_are_seen_by_every_field(tmp_path):
         open_lazily(source)["speed"].load()
 
 
-def test_any_part_of_a_field(tmp_path):
+def test_any_part_of_a_field_can_be_read(tmp_path):
     dataset, whole = open_lazily(write_fields(tmp_path)), open_lazily(write_fields(tmp_path)).load()
     for key in ({"time": 1}, {"node": [5, 2, 2]}, {"node": 3, "axis": [0, 2]}, {"time": slice(None, None, -1)},
                 {"time": [2, 0], "node": slice(1, 9, 3), "axis": 1}, {"time": [], "node": 3}):  # fmt: skip
@@ -392,9 +399,9 @@ def test_cells_are_extracted_with_their_nodes(tmp_path):
 
 def test_a_series_that_is_not_inline_is_a_dataset_too(tmp_path):
     for i, t in enumerate(TIMES):
-        saved(rich(t), tmp_path / f"f{i}.vtu", mode="appended")
+        save_grid(make_rich_grid(t), tmp_path / f"f{i}.vtu", mode="appended")
     source = write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
     appended = open_lazily(source).load()
     for i, t in enumerate(TIMES):
-        saved(rich(t), tmp_path / f"f{i}.vtu")
+        save_grid(make_rich_grid(t), tmp_path / f"f{i}.vtu")
     xarray.testing.assert_identical(open_lazily(source).load(), appended)

@@ -1,4 +1,4 @@
-"""Files of a run, read back by somebody else's readers, and what is left of a run that breaks off."""
+"""Files of a run, read back by foreign readers, and the files of a run that breaks off."""
 
 import os
 import subprocess
@@ -27,7 +27,7 @@ from tests.measured import measure_series
 SCENES = {"3D": {}, "2D": PLANAR}
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
 
-# what model = "auto" adds is not there for a fixed one
+# a fixed model has none of the variables that model = "auto" adds
 FIXED_MODEL = VARIABLES.keys() - {"rung", "indicator"}
 
 
@@ -117,7 +117,7 @@ def test_every_number_of_the_frame_is_field_data(run):
 
 def test_no_file_has_appended_data(run):
     for file in frame_files(run.folder):
-        assert b"<AppendedData" not in file.read_bytes()  # ParaView of several distributions reads none of those
+        assert b"<AppendedData" not in file.read_bytes()  # which the ParaView of several distributions cannot read
 
 
 def test_the_index_has_the_true_times(run):
@@ -135,7 +135,7 @@ def test_the_index_has_the_true_times(run):
 # Statistics
 
 
-def test_statistics_hold_what_was_measured(run):
+def test_statistics_hold_the_measured_values(run):
     with xarray.open_dataset(run.folder / "statistics.nc") as dataset:
         assert dataset.sizes == {"time": 5, "cell": len(run.problem.body.mesh.cells), "axis": 3, "quantile": 9}
         assert dataset["quantile"].values.tolist() == list(QUANTILES)
@@ -164,7 +164,7 @@ def test_statistics_of_the_frames_on_disk_are_statistics_nc(run):
     xarray.testing.assert_equal(again, written)
 
 
-def test_a_dataset_of_a_series_says_what_statistics_nc_says(run):
+def test_a_dataset_of_a_series_has_the_attributes_of_statistics_nc(run):
     again, written = measure_series(read_series(run.folder)), read_dataset(run.folder / "statistics.nc")
     assert_conventional(again)
     for name in written.variables:
@@ -172,8 +172,8 @@ def test_a_dataset_of_a_series_says_what_statistics_nc_says(run):
             assert again[name].attrs.get(key) == written[name].attrs.get(key)
 
 
-def test_what_points_alone_tell_is_measured_from_the_points_alone(run):
-    """Every kinematic number again, from frames stripped of all that the solver knew."""
+def test_kinematic_numbers_follow_from_the_points_alone(run):
+    """Every kinematic number again, from frames without the values that only the solver knows."""
     written = read_dataset(run.folder / "statistics.nc")
     for i, frame in enumerate(read_series(run.folder)):
         for name, value in measure(replace(frame, known={})).items():
@@ -181,7 +181,7 @@ def test_what_points_alone_tell_is_measured_from_the_points_alone(run):
             assert written[name][i].values == pytest.approx(value, rel=1e-13, abs=1e-13), name
 
 
-def test_statistics_are_measured_anew_where_somebody_moved_the_points(run, tmp_path):
+def test_statistics_are_measured_again_if_points_were_moved(run, tmp_path):
     for file in frame_files(run.folder):
         grid = pyvista.read(file)
         grid.points = grid.points * 2.0
@@ -223,7 +223,7 @@ def test_a_foreign_series_has_the_kinematic_part_under_the_same_names(run, tmp_p
         ("key.pvd", "<VTKFile><Collection><DataSet file='a'/></Collection></VTKFile>", "not a ParaView index"),
     ],
 )
-def test_what_is_no_series_is_refused_by_name(tmp_path, name, text, words):
+def test_a_path_that_is_no_series_is_refused_by_name(tmp_path, name, text, words):
     if text is not None:
         (tmp_path / name).write_text(text)
     with pytest.raises(SeriesError, match=words) as caught:
@@ -275,7 +275,7 @@ def test_a_sink_that_fails_leaves_the_files_of_the_others_complete(tmp_path):
 
 
 def test_a_killed_run_keeps_the_frames_that_it_wrote(tmp_path):
-    """The process ends without closing anything; the index may be a second behind, nothing else is."""
+    """The process ends without closing anything; only the index may be a second behind."""
     write_case(tmp_path)
     code = """
 import os

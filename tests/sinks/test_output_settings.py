@@ -1,4 +1,4 @@
-"""Every format and precision of the frames: run, resumed, compared and killed as the default is."""
+"""Every format and precision of the frames: run, resumed, compared and killed like the default."""
 
 import random
 import signal
@@ -32,7 +32,7 @@ OUTPUTS = {
 
 @pytest.fixture
 def _beside(monkeypatch):
-    """Small meshes too are written by a process of its own."""
+    """Lets a separate process write small meshes too."""
     monkeypatch.setattr(variant_run, "WORTH_A_PROCESS", 0)
 
 
@@ -41,7 +41,7 @@ def case(folder, output, *, seconds=1e9, **sections):
 
 
 def assert_same_series(one, other):
-    """The same datasets to the bit, and the same arrays in every frame."""
+    """Assert the same datasets to the bit, and the same arrays in every frame."""
     assert_same_datasets(one, other)
     series = [read_series(folder) for folder in (one, other)]
     assert series[0].times == series[1].times
@@ -83,11 +83,11 @@ def test_the_dataset_is_float64_whatever_the_frames_are(tmp_path, output):
 
 @pytest.mark.parametrize("output", OUTPUTS)
 @pytest.mark.parametrize("harm", ["dataset_half", "dataset_other", "dataset_short", "frames_missing", "frames_short"])
-def test_what_cannot_be_gone_on_with_is_solved_from_the_start(tmp_path, monkeypatch, output, harm, vtk_errors):
+def test_a_run_that_cannot_be_resumed_is_solved_from_the_start(tmp_path, monkeypatch, output, harm, vtk_errors):
     path = case(tmp_path, output)
     whole = solve(path, tmp_path / "whole").variants[0]
     folder = stopped_after(path, tmp_path / "out", 7, monkeypatch)
-    harmed(folder, harm, output)
+    harm_files(folder, harm, output)
     resumed = solve(path, tmp_path / "out", resume=True)
     vtk_errors.clear()
     needed = harm.startswith("frames") or "float32" in output
@@ -96,7 +96,7 @@ def test_what_cannot_be_gone_on_with_is_solved_from_the_start(tmp_path, monkeypa
     assert_same_series(whole.folder, folder)
 
 
-def harmed(folder, harm, output):
+def harm_files(folder, harm, output):
     dataset = folder / "statistics.nc"
     if harm == "dataset_half":
         dataset.write_bytes(dataset.read_bytes()[: dataset.stat().st_size // 2])
@@ -109,13 +109,13 @@ def harmed(folder, harm, output):
         changed.to_netcdf(dataset)
     elif "vtkhdf" in output:
         file = folder / "series.vtkhdf"
-        file.unlink() if harm == "frames_missing" else listing_less(file)
+        file.unlink() if harm == "frames_missing" else shorten_listing(file)
     else:
         file = folder / "frames" / "frame_000001.vtu"
         file.unlink() if harm == "frames_missing" else file.write_bytes(file.read_bytes()[:500])
 
 
-def listing_less(path):
+def shorten_listing(path):
     import h5py
 
     with h5py.File(path, "r+") as file:
@@ -125,14 +125,14 @@ def listing_less(path):
 
 
 def last_step(folder) -> int:
-    """The step of the last checkpoint, 0 where there is none."""
+    """Return the step of the last checkpoint, 0 if there is none."""
     return max((int(file.stem[5:]) for file in folder.glob("checkpoints/step_*.checkpoint")), default=0)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("_beside")
 @pytest.mark.parametrize("output", OUTPUTS)
-def test_kill_9_at_random_moments_and_the_rest_goes_on(tmp_path, output):
+def test_kill_9_at_random_moments_can_be_resumed(tmp_path, output):
     mesh = {"shape": "box", "size": [2.0, 3.0, 1.0], "cells": [6, 7, 4]}  # enough cells for a thread, in the child too
     path = case(tmp_path, output, seconds=1e-9, schedule={"dt": 0.02, "frames": 80}, mesh=mesh)
     out, moments = tmp_path / "parts", random.Random(1)

@@ -1,4 +1,4 @@
-"""One file for all frames, read back by VTK; whatever kills the writer, the frames before are there."""
+"""One file for all frames, read back by VTK; if the writer is killed, the frames before are readable."""
 
 import subprocess
 import sys
@@ -78,7 +78,7 @@ def test_the_dataset_is_rebuilt_from_the_file(given, tmp_path):
         assert dataset.sizes["time"] == len(given)
 
 
-def test_cells_are_stored_once_and_a_frame_takes_its_numbers(tmp_path):
+def test_cells_are_stored_once_and_a_frame_takes_only_its_numbers(tmp_path):
     path = write_case(tmp_path, mesh={"shape": "box", "size": [2.0, 3.0, 1.0], "cells": [8, 12, 4]})
     problem = build(load_case(path).variant("polar"))
     given = [replace(frame, index=i) for i, frame in enumerate(list(frames(problem)) * 4)]
@@ -93,13 +93,13 @@ def test_cells_are_stored_once_and_a_frame_takes_its_numbers(tmp_path):
     assert sizes[0] < 4 * 8 * (9 * n + 3 * e + numbers) + 8 * 4 * e
 
 
-def test_unused_room_takes_no_disk(given, tmp_path):
+def test_unused_room_takes_no_disk_space(given, tmp_path):
     record(iter(given), [VtkhdfSink(tmp_path, frames=100_000)])
     told = (tmp_path / "series.vtkhdf").stat()
     assert told.st_blocks * 512 < told.st_size / 10
 
 
-def test_after_earlier_frames_the_file_is_that_of_one_go(given, tmp_path):
+def test_a_resumed_file_equals_one_written_in_one_go(given, tmp_path):
     record(iter(given), [VtkhdfSink(tmp_path / "whole", frames=5)])
     record(iter(given[:4]), [VtkhdfSink(tmp_path / "parts", frames=5)])  # one more than the checkpoint knows of
     record(iter(given[3:]), [VtkhdfSink(tmp_path / "parts", frames=5, earlier=[f.time for f in given[:3]])])
@@ -108,8 +108,8 @@ def test_after_earlier_frames_the_file_is_that_of_one_go(given, tmp_path):
     xarray.testing.assert_equal(measure_series(whole), measure_series(parts))
 
 
-def test_a_frame_is_counted_by_a_write_of_a_few_bytes(given, tmp_path, monkeypatch):
-    """Whatever else a frame changes lies where nobody looks before: a kill between two writes harms nothing."""
+def test_a_frame_is_listed_by_a_write_of_a_few_bytes(given, tmp_path, monkeypatch):
+    """All other changes are at places that readers do not see yet: a kill between two writes harms nothing."""
     path, seen = tmp_path / "series.vtkhdf", []
     sink = VtkhdfSink(tmp_path, frames=5)
     genuine = h5py.File.flush
@@ -155,7 +155,7 @@ for i in count():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("room", [8, 1_000_000], ids=["growing", "room"])
-def test_kill_9_leaves_every_frame_that_was_counted(tmp_path, room):
+def test_kill_9_leaves_every_listed_frame(tmp_path, room):
     case = write_case(tmp_path)
     for moment in range(3):
         folder = tmp_path / str(moment)
@@ -177,7 +177,7 @@ def test_kill_9_leaves_every_frame_that_was_counted(tmp_path, room):
             )
 
 
-def test_a_missing_package_is_told_before_anything_is_solved(tmp_path, monkeypatch, capfd):
+def test_a_missing_package_is_reported_before_solving(tmp_path, monkeypatch, capfd):
     from pipeline.cli import main
 
     monkeypatch.setattr(formats, "find_spec", lambda name: None)

@@ -1,4 +1,4 @@
-"""Writing beside solving: the same files and failures as in between, whatever happens to either process."""
+"""Writing beside solving: the same files and failures as between steps, whatever happens to either process."""
 
 import json
 import os
@@ -31,7 +31,7 @@ from tests.results.test_resume import _default_handlers, _no_figures, assert_sam
 
 ROOT = Path(__file__).resolve().parents[2]
 MESH = box((1.0, 1.0, 1.0), (1, 1, 1))
-PATIENCE = 90.0  # seconds until a test that would wait for ever fails instead
+PATIENCE = 90.0  # seconds after which a test fails that would wait forever
 WORTH = {"shape": "box", "size": [2.0, 3.0, 1.0], "cells": [5, 7, 5]}  # 1050 cells
 
 
@@ -41,7 +41,7 @@ class Unportable(Exception):
 
 
 class Notes:
-    """A line of a text file for each frame; what happens at frame 2 is its subclasses'. It is copied to the writer."""
+    """Writes a line of a text file for each frame; subclasses do something at frame 2. It is copied to the writer."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -123,7 +123,7 @@ def test_frames_are_written_in_order_by_another_process(tmp_path, shared):
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_files_are_the_same_as_written_in_between(tmp_path, shared, name):
+def test_files_equal_those_written_between_steps(tmp_path, shared, name):
     case = load_case(write_case(tmp_path, schedule={"dt": 0.01, "frames": 8}))
     for folder, record in ((tmp_path / "a", Recording), (tmp_path / "b", shared.start_recording)):
         folder.mkdir()
@@ -134,7 +134,7 @@ def test_files_are_the_same_as_written_in_between(tmp_path, shared, name):
 
 
 def contents(folder: Path) -> dict[str, object]:
-    """The bytes of every file; of .vtkhdf, which has the times of its making in it, every array."""
+    """Return the bytes of every file, but every array of a .vtkhdf, which contains the time of its creation."""
 
     def arrays(path: Path) -> dict[str, bytes]:
         with h5py.File(path) as file:
@@ -169,7 +169,7 @@ def test_it_runs_ahead_by_a_bounded_number_of_frames(tmp_path, shared):
     assert sink.lines() == [*map(str, range(40)), "closed"]
 
 
-def test_drain_returns_when_all_is_written_and_told(tmp_path, shared):
+def test_drain_returns_after_all_writes_and_calls(tmp_path, shared):
     sink, told = Notes(tmp_path / "notes"), []
     recording = shared.start_recording([sink], on_frame=lambda frame, summary: told.append(frame.index))
     for count, frame in enumerate(some_frames(5), 1):
@@ -219,7 +219,7 @@ def test_a_failure_at_the_last_frame_is_raised_on_closing_and_by_drain(tmp_path,
     recording.close()  # told once
 
 
-def test_what_cannot_be_closed_is_told(tmp_path, shared):
+def test_a_sink_that_cannot_be_closed_is_reported(tmp_path, shared):
     with pytest.raises(OutputError, match="cannot be closed"):
         drive(some_frames(3), shared.start_recording([Stuck(tmp_path / "notes"), other := Notes(tmp_path / "other")]))
     assert other.lines() == ["0", "1", "2", "closed"]
@@ -235,7 +235,7 @@ def test_a_solver_that_fails_leaves_the_frames_before_it(tmp_path, shared):
     assert sink.lines() == ["0", "1", "2", "closed"]
 
 
-def test_what_fails_in_on_frame_is_raised(tmp_path, shared):
+def test_errors_in_on_frame_are_raised(tmp_path, shared):
     def impatient(frame, summary):
         if frame.index == 2:
             raise KeyboardInterrupt
@@ -245,17 +245,17 @@ def test_what_fails_in_on_frame_is_raised(tmp_path, shared):
     assert sink.lines()[-1] == "closed"
 
 
-def test_what_is_printed_there_is_no_answer(tmp_path, shared):
+def test_prints_of_the_process_are_no_answers(tmp_path, shared):
     drive(some_frames(5), shared.start_recording([sink := Loud(tmp_path / "notes")]))
     assert sink.lines() == ["0", "1", "2", "3", "4", "closed"]
 
 
-def test_nothing_taken_closes_without_a_word(tmp_path, shared):
+def test_closing_without_frames_does_nothing(tmp_path, shared):
     shared.start_recording([Notes(tmp_path / "notes")]).close()
     assert not (tmp_path / "notes").exists()
 
 
-def test_a_process_that_is_killed_is_told_and_the_next_run_has_a_new_one(tmp_path):
+def test_a_killed_process_is_reported_and_the_next_run_starts_another(tmp_path):
     with WriterProcess() as process:
         recording = process.start_recording([Notes(tmp_path / "notes")])
 
@@ -270,14 +270,14 @@ def test_a_process_that_is_killed_is_told_and_the_next_run_has_a_new_one(tmp_pat
         assert sink.lines() == ["0", "1", "2", "closed"]
 
 
-def test_one_that_cannot_be_started_is_told(tmp_path, monkeypatch):
+def test_a_process_that_cannot_be_started_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "executable", str(tmp_path / "no_python"))
     with WriterProcess() as process, pytest.raises(OutputError, match=r"cannot be started \(No such file"):
         process.start_recording([])
 
 
-def test_an_end_in_the_middle_of_a_message_does_not_wait(tmp_path, monkeypatch):
-    """As a second signal does, which raises wherever the solver's process is."""
+def test_an_interruption_within_a_message_does_not_wait(tmp_path, monkeypatch):
+    """A second signal raises anywhere in the solver's process."""
     with WriterProcess() as process:
         recording = process.start_recording([Slow(tmp_path / "notes")])
 
@@ -292,7 +292,7 @@ def test_an_end_in_the_middle_of_a_message_does_not_wait(tmp_path, monkeypatch):
         assert time.monotonic() - began < PATIENCE / 3
 
 
-def test_the_lock_outlives_the_one_who_asked_until_nothing_more_is_written(tmp_path, monkeypatch):
+def test_the_lock_outlives_the_parent_until_the_last_write(tmp_path, monkeypatch):
     code = f"""
 import os, pathlib, signal, sys, time
 from pipeline.results.lock import lock_folder
@@ -336,7 +336,7 @@ def test_a_checkpoint_waits_for_the_frames_before_it(tmp_path, monkeypatch):
     assert len(seen) == 10 and all(frames == files for frames, files in seen)
 
 
-def test_small_meshes_are_written_in_between(tmp_path, monkeypatch):
+def test_small_meshes_are_written_between_steps(tmp_path, monkeypatch):
     genuine, remote = WriterProcess.start_recording, []
     monkeypatch.setattr(
         WriterProcess, "start_recording", lambda self, *a, **k: remote.append(a) or genuine(self, *a, **k)
@@ -354,8 +354,8 @@ def test_small_meshes_are_written_in_between(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["SIGKILL", "SIGINT to all", "SIGTERM to all"])
-def test_a_run_that_is_ended_goes_on_to_the_same_files(tmp_path, way):
-    """A terminal's ctrl-C, and a queue that ends a job, reach every process of it."""
+def test_a_run_that_was_ended_resumes_to_the_same_files(tmp_path, way):
+    """A terminal's Ctrl-C, and a queue that ends a job, reach all its processes."""
     path = written(tmp_path, mesh=WORTH, schedule={"dt": 0.002, "frames": 150}, seconds=1e-9)
     command = [sys.executable, "-m", "pipeline.cli", "run", str(path), "--no-movie", "--quiet", "--resume"]
     child = subprocess.Popen(
@@ -381,8 +381,8 @@ def test_a_run_that_is_ended_goes_on_to_the_same_files(tmp_path, way):
     assert_same_results(solve(path, tmp_path / "whole").variants[0].folder, folder)
 
 
-def test_numbers_are_those_that_are_sent(tmp_path, shared):
-    """Nothing of a frame is rounded or reordered on the way: not even what only the solver knows."""
+def test_numbers_arrive_unchanged(tmp_path, shared):
+    """Nothing of a frame is rounded or reordered on the way, not even the values that only the solver knows."""
     problem = build(load_case(write_case(tmp_path, schedule={"dt": 0.01, "frames": 4})).variant("polar"))
     import netCDF4
 

@@ -1,4 +1,4 @@
-"""The process that writes: how it starts, whatever surrounds it, and how it ends when nobody waits for it."""
+"""The process that writes: it starts in any surroundings, and ends even if its parent does not wait for it."""
 
 import os
 import signal
@@ -38,8 +38,8 @@ class Importing(Notes):
 
 
 @pytest.mark.parametrize("way", ["SIGINT", "SIGTERM"])
-def test_a_process_that_starts_is_not_asked_to_stop(tmp_path, way):
-    """A terminal's ctrl-C reaches it in its first second too, before it has read a line of ours."""
+def test_signals_do_not_stop_a_starting_process(tmp_path, way):
+    """A terminal's Ctrl-C can reach it in its first second, before it runs a line of this package."""
     with WriterProcess() as process:
         recording = process.start_recording([sink := Notes(tmp_path / "notes")])
         os.kill(process._child.process.pid, getattr(signal, way))
@@ -48,8 +48,8 @@ def test_a_process_that_starts_is_not_asked_to_stop(tmp_path, way):
     assert not {signal.SIGINT, signal.SIGTERM} & signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
-def test_it_is_this_package_that_is_started(tmp_path, monkeypatch):
-    """A working folder may hold a pipeline of its own; colons and what is no text may stand in sys.path."""
+def test_the_process_imports_this_package(tmp_path, monkeypatch):
+    """A working folder may contain another pipeline.py; sys.path may contain colons and entries that are no text."""
     for name in ("pipeline.py", "signal.py"):
         (tmp_path / name).write_text("raise SystemExit(7)")
     (tmp_path / "a:b").mkdir()
@@ -62,7 +62,7 @@ def test_it_is_this_package_that_is_started(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("words", ["from site\\n", "X" + "y" * 40])
-def test_what_is_printed_before_it_begins_is_no_answer(tmp_path, monkeypatch, words):
+def test_prints_before_the_begin_are_no_answers(tmp_path, monkeypatch, words):
     (tmp_path / "sitecustomize.py").write_text(f"import os; os.write(1, b'{words}')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.syspath_prepend(tmp_path)
@@ -71,7 +71,7 @@ def test_what_is_printed_before_it_begins_is_no_answer(tmp_path, monkeypatch, wo
     assert sink.lines() == ["0", "1", "2", "closed"]
 
 
-def test_answers_without_sense_end_it(tmp_path):
+def test_senseless_answers_end_the_process(tmp_path):
     with WriterProcess() as process:
         with pytest.raises(OutputError, match="that writes frames make no sense"):
             drive(some_frames(1000), process.start_recording([Senseless(tmp_path / "notes")]))
@@ -79,8 +79,8 @@ def test_answers_without_sense_end_it(tmp_path):
     assert sink.lines() == ["0", "1", "2", "closed"]
 
 
-def test_nothing_is_written_after_closing_that_is_interrupted(tmp_path, monkeypatch):
-    """The folder is let go next: a process that went on would write beside another run."""
+def test_nothing_is_written_after_an_interrupted_close(tmp_path, monkeypatch):
+    """The folder's lock is released next: a process that continued would write beside another run."""
     process = WriterProcess()
     recording = process.start_recording([Slow(tmp_path / "notes")])
     for frame in some_frames(5):
@@ -123,7 +123,7 @@ with lock_folder(folder) as lock, WriterProcess(keep=lock) as process:
         assert (tmp_path / "held").read_text() == "1"
 
 
-def test_python_has_nothing_to_remark(tmp_path, monkeypatch, capfd):
+def test_python_warns_of_nothing(tmp_path, monkeypatch, capfd):
     monkeypatch.setenv("PYTHONWARNINGS", "always::ResourceWarning")
     with WriterProcess() as process:
         drive(some_frames(3), process.start_recording([Notes(tmp_path / "notes")]))

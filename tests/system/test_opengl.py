@@ -1,4 +1,4 @@
-"""The probe finds what draws, survives what crashes, hangs or lies, and names the packages to install."""
+"""The probe finds a class that draws, survives those that crash, hang or lie, and names the packages to install."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ FINE_IF = "import sys; sys.exit(None if sys.argv[1] == {!r} else 'no library')"
 
 @pytest.fixture
 def fresh(monkeypatch):
-    """A process that has not probed yet and inherits nothing."""
+    """Resets this process: it has not probed yet and inherits nothing."""
     monkeypatch.setattr(opengl, "_working", None)
     for name in (opengl.FOUND, opengl.VTK_CHOICE, "DISPLAY"):
         monkeypatch.setenv(name, "")  # so that monkeypatch also takes back what ensure_opengl sets
@@ -23,7 +23,7 @@ def fresh(monkeypatch):
     return monkeypatch
 
 
-def test_children_that_crash_make_one_error_that_names_the_packages(fresh):
+def test_crashing_children_give_one_error_with_the_packages(fresh):
     fresh.setattr(opengl, "_PROBE", CRASH)
     with pytest.raises(OutputError) as caught:
         opengl.ensure_opengl()
@@ -50,7 +50,7 @@ def test_the_first_class_that_draws_is_set_and_inherited(fresh, works):
         opengl.ensure_opengl()
 
 
-def test_the_users_choice_is_tried_first_and_left_where_it_fails(fresh):
+def test_the_users_choice_is_tried_first_and_dropped_if_it_fails(fresh):
     fresh.setenv(opengl.VTK_CHOICE, "vtkOSOpenGLRenderWindow")
     fresh.setattr(opengl, "_PROBE", "")
     assert opengl.ensure_opengl() == "vtkOSOpenGLRenderWindow"
@@ -74,24 +74,24 @@ def test_a_child_that_hangs_is_ended(fresh):
 
 
 def test_a_window_of_another_class_does_not_count(fresh):
-    """VTK makes another one in silence where the one asked for is not to be had."""
+    """VTK silently makes another one if the requested one is missing."""
     assert opengl._probe("vtkNoSuchWindow") is not None
 
 
 @pytest.mark.opengl
-def test_this_machine_draws_and_says_so(fresh):
+def test_this_machine_draws_and_reports_it(fresh):
     environment = {k: v for k, v in os.environ.items() if k not in (opengl.FOUND, opengl.VTK_CHOICE)}
     command = [sys.executable, "-m", "pipeline.system.opengl"]
-    said = subprocess.run(command, env=environment, capture_output=True, text=True)
-    assert (said.returncode, said.stderr) == (0, "")
-    assert said.stdout.strip() in {f"OpenGL: {window}" for window in opengl.WINDOWS}
+    run = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert (run.returncode, run.stderr) == (0, "")
+    assert run.stdout.strip() in {f"OpenGL: {window}" for window in opengl.WINDOWS}
 
 
-def test_the_command_line_says_what_is_missing(fresh, capsys):
+def test_the_command_line_names_the_missing_packages(fresh, capsys):
     fresh.setattr(opengl, "_PROBE", CRASH)
     assert opengl.main() == 1
     assert "libegl1 libgl1-mesa-dri" in capsys.readouterr().err
 
 
-def test_makefile_installs_what_the_error_names(project_root):
+def test_makefile_installs_the_packages_of_the_error(project_root):
     assert f"OPENGL_PACKAGES := {opengl.DEBIAN_PACKAGES}\n" in (project_root / "Makefile").read_text()

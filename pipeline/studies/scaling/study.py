@@ -25,11 +25,11 @@ from pipeline.errors import CaseError, OutputError, quote_value
 from pipeline.formats.atomic import replace_file, write_whole
 from pipeline.studies.scaling.peers import INSTALL, PEERS, list_installed
 from pipeline.studies.scaling.step_cost import METHODS
+from pipeline.system.threads import make_thread_environment
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _COLOURS = {
     "linear": "#D55E00", "one_solve": "#0072B2", "gram_schmidt": "#56B4E9", "auto": "#1b1e28", "converged": "#009E73",
     "explicit": "#CC79A7", "felupe": "#a6761d", "mujoco": "#6a3d9a",
@@ -116,7 +116,7 @@ def _choose_variant(case: Case) -> str:
 
 def _measure_row(point: CostRow, bandwidth: float) -> CostRow:
     """Return the row of one point, measured in a process of its own on one thread."""
-    environment = os.environ | dict.fromkeys(_THREADS, "1")
+    environment = os.environ | make_thread_environment(1)
     module = "peers" if point["method"] in PEERS else "step_cost"
     command = [sys.executable, "-m", f"pipeline.studies.scaling.{module}", json.dumps(point)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
