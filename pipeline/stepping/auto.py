@@ -43,13 +43,17 @@ class Auto:
         self.passes = passes
         self.newton = newton
         self.tolerance = tolerance
-        # the positions measured last (a copy), the result, and whether it was measured from I. A step usually begins
+        # a copy of the positions measured last, the result, and whether it was measured from I. A step usually begins
         # with the positions that the one before ended with: then they are not measured again
-        self._x, self._is_measured = np.empty_like(body.mesh.points), False
+        self._x, self._is_measured = np.zeros_like(body.mesh.points), False
         self._error, self._from_rest = FrameError(np.inf, np.inf), False
         # rotations used and rotations reached, in turn
         e, d = len(body.mesh.cells), body.mesh.dimension
         self._used, self._reached = np.empty((2, e, d, d))
+        from pipeline.stepping.kernels.positions import are_equal
+
+        self._are_equal = are_equal
+        are_equal(self._x, self._x)  # it is compiled, or loaded, here and not in a timed step
 
     def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
         """Return the accepted x and v, and a report with the rung and the indicator; raises SolveError as Newton."""
@@ -92,7 +96,7 @@ class Auto:
 
     def _measure(self, x: Floats) -> FrameError:
         """Return how far the rotations at x are from those used; a bound replaces it if that is low enough."""
-        np.copyto(self._x, x)
+        self._x[:] = x
         self._is_measured = True
         bound = self.body.bound_frame_error(x) if self._from_rest else np.inf
         if bound <= self.tolerance:
@@ -103,7 +107,8 @@ class Auto:
 
     def _is_near_rest(self, x: Floats) -> bool:
         """Return whether the linear law will do for cells at x; if not, their rotations are in `_reached`."""
-        if self._is_measured and (x == self._x).all():
+        # the kernel is compiled for one kind of array; others are measured again
+        if self._is_measured and x.flags.carray and self._are_equal(x, self._x):
             if self._from_rest:
                 return self._error.indicator <= self.tolerance
             if self._error.from_rest > self.tolerance:

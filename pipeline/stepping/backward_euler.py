@@ -12,7 +12,7 @@ from pipeline.stepping.inversion import Treatment, track_rotations
 from pipeline.stepping.parts import StepperParts
 from pipeline.stepping.report import StepReport
 from pipeline.stepping.stage import Stage, StageSolver
-from pipeline.stepping.state import Memory, State
+from pipeline.stepping.state import NO_ARRAYS, Memory, State
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class BackwardEuler:
         stage = Stage(x_n, state.v, self.dt, x_n, x_n, held, load, starts_at_x_n=True, R=R)
         x, v, report = self.stage_solver.solve(stage)
         report.work.steps += 1
-        return State(state.step + 1, x, v, Memory(inversion=inversion)), report
+        return State(state.step + 1, x, v, Memory(NO_ARRAYS, inversion, state.memory.energy)), report
 
 
 def damping_ratio(z: float) -> float:

@@ -51,7 +51,7 @@ class BDF2:
         x, v, before = state.x, state.v, {"x_before": state.x, "v_before": state.v}
         if state.step == 0:
             first, report = self.first.step(state)
-            return State(1, first.x, first.v, Memory(before, first.memory.inversion)), report
+            return State(1, first.x, first.v, Memory(before, first.memory.inversion, first.memory.energy)), report
         x_before, v_before = state.memory.stepper["x_before"], state.memory.stepper["v_before"]
         h, end = 2 * self.dt / 3, (state.step + 1) * self.dt
         x_h, v_h = _extrapolate(x, x_before, 1 / 3, self._stage[0]), _extrapolate(v, v_before, 1 / 3, self._stage[1])
@@ -61,7 +61,7 @@ class BDF2:
         stage = Stage(x_h, v_h, h, x_star, x, held, load, starts_at_x_n=False, R=R)
         x_new, v_new, report = self.stage_solver.solve(stage)
         report.work.steps += 1
-        return State(state.step + 1, x_new, v_new, Memory(before, inversion)), report
+        return State(state.step + 1, x_new, v_new, Memory(before, inversion, state.memory.energy)), report
 
 
 def _extrapolate(now: Floats, before: Floats, part: float, out: Floats) -> Floats:

@@ -60,7 +60,9 @@ class EnergyGuard:
         supplied += work_of_varying_load(self.body, state, new, self.dt)
         if watched or supplied or record.strikes:
             record = self._update(record, new, supplied, watched=watched)
-        return State(new.step, new.x, new.v, Memory(new.memory.stepper, new.memory.inversion, record)), report
+        if record != new.memory.energy:
+            new = State(new.step, new.x, new.v, Memory(new.memory.stepper, new.memory.inversion, record))
+        return new, report
 
     def _update(self, record: EnergyRecord, new: State, work: float, *, watched: bool) -> EnergyRecord:
         """Return the record after a step that was supplied with work [J]; raises SolveError at the third strike."""

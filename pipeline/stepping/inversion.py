@@ -19,7 +19,7 @@ from pipeline.arrays import Floats
 from pipeline.fem.body import Body
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import polar
-from pipeline.stepping.state import State
+from pipeline.stepping.state import NO_ARRAYS, State
 
 Record = Mapping[str, Floats]
 
@@ -35,7 +35,7 @@ class Treatment(Protocol):
 def track_rotations(treatment: Treatment | None, body: Body, x: Floats, state: State) -> tuple[Floats | None, Record]:
     """Return the treatment's rotations at x (n, d) and its next record; without a treatment None and an empty one."""
     if treatment is None:
-        return None, {}
+        return None, NO_ARRAYS
     return treatment.rotations(deformation_gradient(body.mesh, x), state.memory.inversion)
 
 

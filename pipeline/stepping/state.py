@@ -1,7 +1,8 @@
 """The state that a stepper advances, and what is carried from step to step beside positions and velocities."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 from pipeline.arrays import Floats
@@ -16,15 +17,18 @@ class EnergyRecord(NamedTuple):
     strikes: int
 
 
-@dataclass(frozen=True, eq=False)
-class Memory:
-    """What a method carries beside x and v, each part read and written by its owner alone: arrays by name.
+NO_ARRAYS: Mapping[str, Floats] = MappingProxyType({})
 
-    `stepper` belongs to the stepper, `inversion` to the treatment of inverted cells, `energy` to the energy guard.
+
+class Memory(NamedTuple):
+    """The part of a state beside x and v; each field is read and changed by its owner alone and passed on by others.
+
+    `stepper` has the arrays of the stepper by name, `inversion` those of the treatment of inverted cells; `energy`
+    belongs to the energy guard.
     """
 
-    stepper: Mapping[str, Floats] = field(default_factory=dict)
-    inversion: Mapping[str, Floats] = field(default_factory=dict)
+    stepper: Mapping[str, Floats] = NO_ARRAYS
+    inversion: Mapping[str, Floats] = NO_ARRAYS
     energy: EnergyRecord | None = None
 
 

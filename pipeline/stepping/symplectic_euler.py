@@ -21,7 +21,7 @@ from pipeline.linear.work import Work
 from pipeline.stepping.inversion import Treatment, track_rotations
 from pipeline.stepping.parts import StepperParts
 from pipeline.stepping.report import StepReport
-from pipeline.stepping.state import Memory, State
+from pipeline.stepping.state import NO_ARRAYS, Memory, State
 
 
 @dataclass(eq=False)
@@ -35,7 +35,7 @@ class SymplecticEuler:
     treatment: Treatment | None = None
 
     def __post_init__(self) -> None:
-        from pipeline.linear.kernels.vectors import kick
+        from pipeline.stepping.kernels.positions import kick
 
         self._kick = kick
         self._dt_over_mass = self.dt / self.body.lumped_mass
@@ -59,7 +59,7 @@ class SymplecticEuler:
         held, load = body.held_positions((state.step + 1) * self.dt), body.load_at(state.step * self.dt)
         self._kick(v, load, self._dt_over_mass, state.x, state.v, self.dt, body.supports.nodes, held, x)
         work = Work(steps=1, rotations=int(not body.law.constant_tangent))
-        return State(state.step + 1, x, v, Memory(inversion=inversion)), StepReport(work)
+        return State(state.step + 1, x, v, Memory(NO_ARRAYS, inversion, state.memory.energy)), StepReport(work)
 
 
 def element_limit(body: Body) -> float:

@@ -236,7 +236,7 @@ def test_copies_of_a_state_and_a_new_stepper_give_the_same_bits(name, changes):
     prepared = stepper(body, dt, stepper=name, **changes)
     for before, after in pairwise(states):
         carried = {key: value.copy() for key, value in before.memory.stepper.items()}
-        copy = State(before.step, before.x.copy(), before.v.copy(), replace(before.memory, stepper=carried))
+        copy = State(before.step, before.x.copy(), before.v.copy(), before.memory._replace(stepper=carried))
         for other in (prepared, stepper(body, dt, stepper=name, **changes)):
             end, _ = other.step(copy)
             assert end.x.tobytes() == after.x.tobytes() and end.v.tobytes() == after.v.tobytes()

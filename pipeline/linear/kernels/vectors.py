@@ -13,19 +13,6 @@ def fill(values, taken, target, band):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def kick(f, load, dt_over_mass, x, v, dt, held, where, x_new):
-    """Turn f (n, d) into the velocities v + dt/m (f + load), x_new into x + dt times these; held nodes go to where."""
-    for n in range(len(f)):
-        for i in range(f.shape[1]):
-            f[n, i] = v[n, i] + dt_over_mass[n] * (f[n, i] + load[n, i])
-            x_new[n, i] = x[n, i] + dt * f[n, i]
-    for k in range(len(held)):
-        for i in range(f.shape[1]):
-            f[held[k], i] = (where[k, i] - x[held[k], i]) / dt
-            x_new[held[k], i] = where[k, i]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
 def dot(a, b):
     """Return a . b."""
     total = 0.0
