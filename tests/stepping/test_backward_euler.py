@@ -1,6 +1,5 @@
 """Backward Euler: closed forms, its own energy law, what it conserves, and how much work it does."""
 
-from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
