@@ -1,7 +1,7 @@
 """Bad input by the thousand: case files with one fault a key, mesh and series files with mutated bytes.
 
-Everything is drawn from a `random.Random`, so that a number names an example. `examples(kind)` are the numbers that the
-suite tries; `PIPELINE_FUZZ` is how many in all (500; `make fuzz` tries 10 000).
+Everything is drawn from a `random.Random`, so that a number identifies an example. `batches(kind)` are the numbers that
+the suite tries; `PIPELINE_FUZZ` is their total (500; `make fuzz` tries 10 000).
 """
 
 import copy
@@ -31,7 +31,7 @@ def batches(kind: str) -> list[range]:
     return [range(start, min(start + BATCH, count)) for start in range(0, count, BATCH)]
 
 
-# Case files: every key that there is
+# Case files with every key
 
 SPIN = {"axis": [0.0, 1.0, 0.0], "rate": 9.0, "center": [0.5, 1.0, 0.5]}
 FULL: dict[str, Any] = {
@@ -87,7 +87,7 @@ _UNICODE = [
 
 
 def places(value: Any, at: Place = ()) -> list[Place]:
-    """Where something stands in a document: every table, list, entry."""
+    """Return the path to every table, list and entry of a document."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     return [at, *(place for key, one in items for place in places(one, (*at, key)))] if at or items else [at]
 
@@ -96,10 +96,10 @@ PLACES = [place for place in places(FULL) if place]
 
 
 def case_text(number: int) -> str:
-    """The case file of a number: one to three faults."""
+    """Return the case file of a number: one to three faults."""
     random = Random(number)
     document = copy.deepcopy(FULL)
-    if random.random() < 0.5:  # less that excludes other things
+    if random.random() < 0.5:  # fewer keys exclude fewer others
         for key in random.sample(["supports", "loads", "initial", "movie", "variants", "output"], 3):
             document.pop(key)
     text = None
@@ -145,13 +145,13 @@ def _harm(document: Any, place: Place, fault: str, random: Random) -> None:
 
 
 def _doubled(document: dict[str, Any], random: Random) -> str:
-    """The text with a line, or a table, in it twice."""
+    """Return the text with a line, or a table, twice."""
     lines = tomli_w.dumps(document).splitlines(keepends=True)
     i = random.randrange(len(lines))
     return "".join([*lines[: i + 1], lines[i], *lines[i + 1 :]])
 
 
-# Files: what a tool wrote, and what became of it
+# Files of other tools, mutated
 
 POINTS, CELLS = box((1.0, 2.0, 1.0), (1, 2, 1)).points, box((1.0, 2.0, 1.0), (1, 2, 1)).cells
 
@@ -205,7 +205,7 @@ _ENTITY = b'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY a "aaaaaaaa"><!ENTITY b "
 
 
 def mutated(data: bytes, random: Random) -> bytes:
-    """The bytes of a file after one to three accidents, some of them on purpose."""
+    """Return the bytes of a file after one to three faults, some of them plausible."""
     for _ in range(random.choice([1, 1, 2, 3])):
         data = random.choice(_ACCIDENTS)(data, random) or b"x"
     return data
@@ -223,7 +223,7 @@ def _flipped(data: bytes, random: Random) -> bytes:
 
 
 def _renumbered(data: bytes, random: Random) -> bytes:
-    """Another number: a count, an offset, a node, a length, wherever one is written in digits."""
+    """Change a number written in digits: a count, an offset, a node or a length."""
     found = list(re.finditer(rb"-?\d+(\.\d+)?", data))
     if not found:
         return _flipped(data, random)
@@ -232,7 +232,7 @@ def _renumbered(data: bytes, random: Random) -> bytes:
 
 
 def _overwritten(data: bytes, random: Random) -> bytes:
-    """Eight bytes of a binary part become a large, negative or small integer."""
+    """Replace eight bytes of a binary part by a large, negative or small integer."""
     at = random.randrange(len(data))
     value = random.choice([2**62, -1, 10**9, 2**31, 0]).to_bytes(8, random.choice(["little", "big"]), signed=True)
     return data[:at] + value + data[at + 8 :]
@@ -255,7 +255,7 @@ def _with_entities(data: bytes, random: Random) -> bytes:
 
 
 def _renamed(data: bytes, random: Random) -> bytes:
-    """An attribute or a name that is something else."""
+    """Replace an attribute or a name."""
     found = list(re.finditer(rb'"[^"\n]{1,40}"|[A-Za-z_]{4,20}', data))
     if not found:
         return _flipped(data, random)
@@ -279,7 +279,7 @@ _ACCIDENTS = (
 
 
 def mesh_file(number: int, folder: Path) -> Path:
-    """A mutated mesh file."""
+    """Write a mutated mesh file; return its path."""
     random = Random(number)
     suffix, write = MESHES[list(MESHES)[number % len(MESHES)]]
     path = folder / f"it.{suffix}"
@@ -289,7 +289,7 @@ def mesh_file(number: int, folder: Path) -> Path:
 
 
 def _vtkhdf(path: Path) -> None:
-    """What VTK's own writer made of one grid; it takes its time, so it is made once."""
+    """Write the file that VTK's own writer makes of one grid; that is slow, so it is made once."""
     from vtkmodules.vtkIOHDF import vtkHDFWriter
 
     if not _MADE:
@@ -313,7 +313,7 @@ _TEMPORAL: dict[str, Callable[[Path], None]] = {"vtkhdf": _vtkhdf, "xdmf": _xdmf
 
 
 def series_index(number: int, folder: Path) -> Path:
-    """An index of three files, one of which, or the index itself, was mutated; or one file of three steps."""
+    """Write an index of three files, one of which, or the index itself, is mutated, or one file of three steps."""
     random = Random(number)
     kind = [*WRITERS, *_TEMPORAL][number % (len(WRITERS) + len(_TEMPORAL))]
     if kind in _TEMPORAL:
