@@ -1,9 +1,8 @@
-"""Preconditioned conjugate gradients on nodal vectors, and its plainest preconditioner: the diagonal blocks' inverses.
+"""Preconditioned conjugate gradients on nodal vectors, and the simplest preconditioner: inverse diagonal blocks.
 
-For small steps, where the mass rules and few iterations suffice: no factor, little memory, any size of mesh.
+For small steps, in which the mass dominates and few iterations suffice: no factor, little memory, any size of mesh.
 """
 
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -11,38 +10,38 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
+from pipeline.linear.solver import NodalRotations, SystemSettings
 from pipeline.linear.work import Work
 
+# far more than a solve that pays takes: block Jacobi needs about 3 h omega_max, a cycle of stretched cells 60
 _LIMIT = 2000
-
-NodalRotations = Callable[[Floats], object]  # writes the nodes' rotations (n, d, d)
 
 
 class Preconditioner(Protocol):
     """An approximate inverse of the last matrix that `update` gave it."""
 
-    def update(self, values: Floats, frames: NodalRotations) -> Work:
-        """Take the matrix with these values (blocks, d, d) and the nodes' rotations where they are of use."""
+    def update(self, values: Floats, write_rotations: NodalRotations) -> Work:
+        """Take the matrix with these values (blocks, d, d); ask for the nodes' rotations if they are needed."""
         ...
 
     def apply(self, r: Floats, size: float, Ap: Floats, z: Floats) -> tuple[float, float]:
-        """Write the approximate A^-1 r into z (n, d), |r| being `size`; return z . r and z . A p."""
+        """Write the approximate A^-1 r into z (n, d), with |r| = `size`; return z . r and z . A p."""
         ...
 
 
 class ConjugateGradients:
-    """Solves for changing matrices of one pattern to a relative residual of rtol; its vectors are made once."""
+    """Solves for changing matrices of one pattern to a relative residual of rtol; its vectors are allocated once."""
 
-    def __init__(self, pattern: BlockPattern, rtol: float, preconditioner: Preconditioner) -> None:
-        self.pattern = pattern
-        self.rtol = rtol
+    def __init__(self, systems: SystemSettings, preconditioner: Preconditioner) -> None:
+        self.pattern = pattern = systems.pattern
+        self.rtol = systems.rtol
         self.preconditioner = preconditioner
         n, d = pattern.nodes, pattern.dimension
         self._r, self._z, self._p, self._Ap = (np.zeros((n, d)) for _ in range(4))
         self._load_kernels()
 
     def _load_kernels(self) -> None:
-        """Call what a solve calls, on zeros: kernels are compiled, or loaded, here and not in a timed step."""
+        """Call the kernels of a solve on zeros: they are compiled, or loaded, here and not in a timed step."""
         from pipeline.linear.kernels import vectors as kernels
 
         r, d = self._r, self.pattern.dimension
@@ -51,13 +50,13 @@ class ConjugateGradients:
         kernels.descend(kernels.dot(r, r), self._p, self._Ap, self._z, r)
         kernels.follow(self._z, 0.0, self._p)
 
-    def update(self, values: Floats, frames: NodalRotations) -> Work:
+    def update(self, values: Floats, write_rotations: NodalRotations) -> Work:
         """Take the matrix with these values; they are not copied."""
         self._values = values
-        return self.preconditioner.update(values, frames)
+        return self.preconditioner.update(values, write_rotations)
 
     def solve(self, b: Floats, x: Floats) -> Work:
-        """Improve x (n, d) to a relative residual of rtol; raises SolveError where that is not reached."""
+        """Improve x (n, d) to a relative residual of rtol; raises SolveError if that is not reached."""
         from pipeline.linear.kernels import vectors as kernels
 
         r, z, p, Ap = self._r, self._z, self._p, self._Ap
@@ -69,8 +68,8 @@ class ConjugateGradients:
             if size <= target:
                 return Work(solves=1, linear_iterations=iteration)
             rz_new, zAp = self.preconditioner.apply(r, size, Ap, z)
-            # Polak-Ribiere, (r_new - r) . z = -step A p . z: a factor in single precision makes the preconditioner a
-            # little different each time
+            # Polak-Ribiere, (r_new - r) . z = -step A p . z: a factor in single precision is a slightly different
+            # preconditioner each time
             kernels.follow(z, -step * zAp / rz, p)
             rz = rz_new
             curvature = kernels.dot(p, self.pattern.product(self._values, p, Ap))
@@ -88,7 +87,7 @@ class BlockJacobi:
     """The inverses of the diagonal blocks."""
 
     def __init__(self, pattern: BlockPattern) -> None:
-        from pipeline.linear.kernels.vectors import by_blocks, invert_blocks
+        from pipeline.linear.kernels.vectors import apply_blocks, invert_blocks
 
         d = pattern.dimension
         self._invert = invert_blocks
@@ -97,10 +96,10 @@ class BlockJacobi:
         # kernels are compiled, or loaded, here and not in a timed step
         none = np.zeros((0, d))
         invert_blocks(np.eye(d)[None], self._diagonal[:0], self._inverse[:0])
-        by_blocks(self._inverse[:0], none, none, none)
+        apply_blocks(self._inverse[:0], none, none, none)
 
-    def update(self, values: Floats, frames: NodalRotations) -> Work:
-        """Invert the diagonal blocks; raises SolveError where one is singular."""
+    def update(self, values: Floats, write_rotations: NodalRotations) -> Work:
+        """Invert the diagonal blocks; raises SolveError if one is singular."""
         if not self._invert(values, self._diagonal, self._inverse):
             raise SolveError("a diagonal block of the system's matrix is singular")
         return Work()
@@ -109,10 +108,10 @@ class BlockJacobi:
         """Write D^-1 r into z; return z . r and z . A p."""
         from pipeline.linear.kernels import vectors as kernels
 
-        result: tuple[float, float] = kernels.by_blocks(self._inverse, r, Ap, z)
+        result: tuple[float, float] = kernels.apply_blocks(self._inverse, r, Ap, z)
         return result
 
 
-def block_jacobi_cg(pattern: BlockPattern, rtol: float, rest: object = None) -> ConjugateGradients:
-    """Return conjugate gradients with the diagonal blocks' inverses."""
-    return ConjugateGradients(pattern, rtol, BlockJacobi(pattern))
+def make_block_jacobi_cg(systems: SystemSettings) -> ConjugateGradients:
+    """Return conjugate gradients preconditioned by the inverses of the diagonal blocks."""
+    return ConjugateGradients(systems, BlockJacobi(systems.pattern))

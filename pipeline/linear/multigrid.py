@@ -1,9 +1,9 @@
-"""Multigrid by smoothed aggregation: to conjugate gradients a cycle is worth nearly a factor, in far less memory.
+"""Multigrid by smoothed aggregation: for conjugate gradients a cycle is nearly as good as a factor, in far less memory.
 
-Each node of a large mesh joins a group with its neighbours, and a group moves like a rigid body: that is the coarse
-space, made smooth by one Jacobi step (Vanek, Mandel and Brezina 1996). Its matrix is P^T A P. Groups form groups again
-until a band is small. On each level a cycle sweeps forth before the correction and back after it (Gauss-Seidel), so
-that it is symmetric. Cycles work in single precision: they only precondition.
+Each node of a large mesh joins a group with its neighbors, and a group moves like a rigid body: that is the coarse
+space, smoothed by one Jacobi step (Vanek, Mandel and Brezina 1996). With the prolongation P its matrix is P^T A P.
+Groups form groups again until a band is small. On each level a cycle does a Gauss-Seidel sweep forth before the
+correction and one back after it, so that it is symmetric. Cycles work in single precision: they only precondition.
 """
 
 from collections.abc import Callable
@@ -15,17 +15,18 @@ from scipy.sparse import bsr_array, csr_array
 from pipeline.arrays import Floats, Singles
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
-from pipeline.linear.banded import Band
+from pipeline.linear.band import Band
+from pipeline.linear.banded import factor_in_single
 
-# [MB] in double precision of the band at the end; of 40 and 20 at 100k tetrahedra the first saves a third of the cycles
+# [MB] of the last level's band in double precision; at 100k tetrahedra 40 needs a third fewer cycles than 20
 _LAST_BAND = 40.0
-# of the largest eigenvalue of a group's modes: below it there is no such motion, as rotations of a single node
+# a group has no motion whose eigenvalue is below this part of the largest, such as rotations of a single node
 _RANK = 1e-12
-_POWER_STEPS = 10
+_POWER_STEPS = 10  # the estimate of the largest eigenvalue only scales a smoothing step
 
 
-def rigid_modes(points: Floats) -> Floats:
-    """Return the displacements (n, d, d (d + 1)/2) of translations and of small rotations about the middle."""
+def make_rigid_modes(points: Floats) -> Floats:
+    """Return the displacements (n, d, d (d + 1)/2) of translations and of small rotations about the mean point."""
     n, d = points.shape
     arm = points - points.mean(axis=0)
     arm /= np.abs(arm).max() or 1.0
@@ -38,14 +39,14 @@ def rigid_modes(points: Floats) -> Floats:
 
 
 class Cycle:
-    """About A^-1, for a symmetric positive definite matrix A of d x d blocks with nearly A B = 0 for the modes B.
+    """An approximate A^-1 for a symmetric positive definite A of d x d blocks that nearly maps its modes to zero.
 
-    Modes are (n, d, m); nodes join groups along the edges of the graph, by default where A has blocks.
+    Modes are (n, d, m); nodes join groups along the edges of the graph, by default the blocks of A.
     """
 
     def __init__(self, A: bsr_array, modes: Floats, graph: csr_array | None = None) -> None:
         n, d, m = modes.shape
-        pattern, values = _lower(A)
+        pattern, values = _split_lower(A)
         try:
             inverses = np.asarray(np.linalg.inv(values[pattern.diagonal]), np.float64)
         except np.linalg.LinAlgError as error:
@@ -54,34 +55,36 @@ class Cycle:
         self._A[2][pattern.diagonal] = inverses
         if graph is None:
             graph = csr_array((np.ones(len(A.indices), dtype=np.float32), A.indices, A.indptr), shape=(n, n))
-        group = _groups(graph)
-        P, coarse_modes = _prolongation(A, inverses, modes, group)
+        group = _group_nodes(graph)
+        P, coarse_modes = _make_prolongation(A, inverses, modes, group)
         self._P = P.indptr.astype(np.int32), P.indices.astype(np.int32), P.data.astype(np.float32)
         member = csr_array((np.ones(n, dtype=np.float32), group, np.arange(n + 1)))
-        self._below = _below((P.T @ (A @ P)).tobsr((m, m)), coarse_modes, (member.T @ graph @ member).tocsr())
-        self._x, self._left = np.empty((2, n, d), dtype=np.float32)
+        self._solve_below = _make_coarse_solver(
+            (P.T @ (A @ P)).tobsr((m, m)), coarse_modes, (member.T @ graph @ member).tocsr()
+        )
+        self._x, self._residual = np.empty((2, n, d), dtype=np.float32)
         self._coarse = np.empty((len(coarse_modes), m), dtype=np.float32)
 
     def __call__(self, r: Singles) -> Singles:
-        """Return about A^-1 r for r (n, d), in an array that the next call overwrites."""
+        """Return approximately A^-1 r for r (n, d), in an array that the next call overwrites."""
         from pipeline.linear.kernels import multigrid as kernels
 
-        sweep = kernels.sweep(r.shape[1])
-        restrict, prolong = kernels.transfers(r.shape[1], self._coarse.shape[1])
-        sweep(*self._A, r, self._x, self._left, False)
-        restrict(*self._P, self._left, self._coarse)
-        prolong(*self._P, self._below(self._coarse), self._x)
-        sweep(*self._A, r, self._x, self._left, True)
+        sweep = kernels.compile_sweep(r.shape[1])
+        restrict, prolong = kernels.compile_transfers(r.shape[1], self._coarse.shape[1])
+        sweep(*self._A, r, self._x, self._residual, False)
+        restrict(*self._P, self._residual, self._coarse)
+        prolong(*self._P, self._solve_below(self._coarse), self._x)
+        sweep(*self._A, r, self._x, self._residual, True)
         return self._x
 
 
-def _below(A: bsr_array, modes: Floats, graph: csr_array) -> Callable[[Singles], Singles]:
-    """Return what solves with a coarse matrix: the factor of its band where that is small, else a cycle."""
-    pattern, values = _lower(A)
+def _make_coarse_solver(A: bsr_array, modes: Floats, graph: csr_array) -> Callable[[Singles], Singles]:
+    """Return a solver of a coarse matrix: the factor of its band if that is small, else a cycle."""
+    pattern, values = _split_lower(A)
     band = Band(pattern)
     if band.megabytes > _LAST_BAND:
         return Cycle(A, modes, graph)
-    factor = band.preconditioner(values)
+    factor = factor_in_single(band, values)
     sort = (pattern.dimension * band.order[:, None] + np.arange(pattern.dimension)).ravel()
 
     def solve(r: Singles) -> Singles:
@@ -91,34 +94,34 @@ def _below(A: bsr_array, modes: Floats, graph: csr_array) -> Callable[[Singles],
     return solve
 
 
-def _groups(graph: csr_array) -> np.ndarray:
+def _group_nodes(graph: csr_array) -> np.ndarray:
     """Return the group of every node."""
     from pipeline.linear.kernels import multigrid as kernels
 
     group = np.empty(len(graph.indptr) - 1, dtype=np.int32)
-    kernels.groups(graph.indptr.astype(np.int32), graph.indices.astype(np.int32), group)
+    kernels.group_nodes(graph.indptr.astype(np.int32), graph.indices.astype(np.int32), group)
     return group
 
 
-def _prolongation(A: bsr_array, inverses: Floats, modes: Floats, group: np.ndarray) -> tuple[bsr_array, Floats]:
-    """Return P = (1 - omega D^-1 A) T, T an orthonormal base of the groups' modes, and the modes in that base."""
+def _make_prolongation(A: bsr_array, inverses: Floats, modes: Floats, group: np.ndarray) -> tuple[bsr_array, Floats]:
+    """Return P = (1 - omega D^-1 A) T and the modes in the basis T, the groups' orthonormalized modes."""
     n, d, m = modes.shape
     count = int(group.max()) + 1
     products = np.einsum("nia,nib->abn", modes, modes).reshape(m * m, n)
-    G = np.stack([np.bincount(group, weights=one) for one in products], axis=1).reshape(count, m, m)
+    G = np.stack([np.bincount(group, weights=product) for product in products], axis=1).reshape(count, m, m)
     w, V = np.linalg.eigh(G)
-    there = w > _RANK * w[:, -1:]
-    root = np.sqrt(np.where(there, w, 1.0))
-    T = modes @ np.where(there[:, None], V / root[:, None], 0.0)[group]
+    exists = w > _RANK * w[:, -1:]
+    root = np.sqrt(np.where(exists, w, 1.0))
+    T = modes @ np.where(exists[:, None], V / root[:, None], 0.0)[group]
     P = A @ bsr_array((T, group, np.arange(n + 1, dtype=np.int32)), shape=(n * d, m * count))
     rows = np.repeat(np.arange(n), np.diff(P.indptr))
-    P.data[:] = -4 / (3 * _largest(A, inverses)) * (inverses[rows] @ P.data)
+    P.data[:] = -4 / (3 * _estimate_largest_eigenvalue(A, inverses)) * (inverses[rows] @ P.data)
     P.data[P.indices == group[rows]] += T
-    return P, np.where(there, root, 0.0)[:, :, None] * np.swapaxes(V, 1, 2)
+    return P, np.where(exists, root, 0.0)[:, :, None] * np.swapaxes(V, 1, 2)
 
 
-def _largest(A: bsr_array, inverses: Floats) -> float:
-    """Return about the largest eigenvalue of D^-1 A, by power iterations."""
+def _estimate_largest_eigenvalue(A: bsr_array, inverses: Floats) -> float:
+    """Return approximately the largest eigenvalue of D^-1 A, by power iterations."""
     x = np.random.default_rng(0).standard_normal(inverses.shape[:2])
     size = float(np.linalg.norm(x))
     for _ in range(_POWER_STEPS):
@@ -127,8 +130,8 @@ def _largest(A: bsr_array, inverses: Floats) -> float:
     return size
 
 
-def _lower(A: bsr_array) -> tuple[BlockPattern, Floats]:
-    """Return pattern and values of a symmetric matrix; motions that a group does not have, zeros, get a one."""
+def _split_lower(A: bsr_array) -> tuple[BlockPattern, Floats]:
+    """Return pattern and values of the lower blocks; a zero on the diagonal, a motion that a group lacks, becomes 1."""
     A.sort_indices()
     d = A.blocksize[0]
     rows = np.repeat(np.arange(len(A.indptr) - 1), np.diff(A.indptr))

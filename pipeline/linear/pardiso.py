@@ -1,6 +1,6 @@
 """Intel MKL's sparse Cholesky ("Pardiso"), called through its C interface: the fastest factor of large meshes here.
 
-Optional: the `mkl` extra installs Intel's wheel where there is one (x86-64, Linux and Windows); it is proprietary.
+Optional: the `mkl` extra installs Intel's proprietary wheel on x86-64 Linux and Windows.
 """
 
 import ctypes
@@ -13,6 +13,8 @@ import numpy as np
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
+from pipeline.linear.solver import LinearSolver, NodalRotations, SystemSettings
+from pipeline.linear.superlu import SuperLU
 from pipeline.linear.work import Work
 
 _POSITIVE_DEFINITE = 2  # mtype: real, symmetric
@@ -22,10 +24,10 @@ _SEQUENTIAL = 1  # threading layer: one thread, the same bits every time
 
 @cache
 def load_mkl() -> Any:
-    """Return MKL, on one thread, or None where it is not installed."""
+    """Return MKL, on one thread, or None if it is not installed."""
     try:
-        found = [path for path in files("mkl") or () if "mkl_rt." in path.name]
-        mkl = ctypes.CDLL(str(found[0].locate()))
+        paths = [path for path in files("mkl") or () if "mkl_rt." in path.name]
+        mkl = ctypes.CDLL(str(paths[0].locate()))
     except (PackageNotFoundError, IndexError, OSError):
         return None
     mkl.MKL_Set_Threading_Layer(_SEQUENTIAL)
@@ -38,24 +40,25 @@ class PardisoFactor:
     def __init__(self, pattern: BlockPattern, dtype: type) -> None:
         self.size = pattern.nodes * pattern.dimension
         self._handle = np.zeros(64, dtype=np.int64)
-        self._take, self._indptr, self._indices = _upper(pattern)
-        self._entries: np.ndarray = np.empty(len(self._take), dtype=dtype)
+        self._stored, self._indptr, self._indices = _upper(pattern)
+        self._entries: np.ndarray = np.empty(len(self._stored), dtype=dtype)
         self._options = np.zeros(64, dtype=np.int32)
-        # own options: nested dissection, no refinement, single or double
+        # not the default options: nested dissection, no refinement, single or double precision
         self._options[[0, 1, 27]] = 1, 2, int(dtype is np.float32)
-        # one, kind of matrix, phase, size, silence, error
+        # one, kind of matrix, phase, size, no messages, error
         self._numbers = np.array([1, _POSITIVE_DEFINITE, 0, self.size, 0, 0], dtype=np.int32)
         arrays = (self._handle, self._entries, self._indptr, self._indices, self._options, self._numbers)
-        self._at = tuple(array.ctypes.data for array in arrays)  # now: at the program's end numpy cannot tell any more
+        # taken now: numpy cannot give addresses while the interpreter ends
+        self._addresses = tuple(array.ctypes.data for array in arrays)
         self._phase = _ANALYZE_AND_FACTOR
 
     def update(self, values: Floats) -> None:
-        """Factor the matrix with these values (blocks, d, d); raises SolveError where there is no factor."""
+        """Factor the matrix with these values (blocks, d, d); raises SolveError if there is no factor."""
         entries = values.reshape(-1)
         if self._entries.dtype == values.dtype:
-            entries.take(self._take, 0, self._entries, "clip")
-        else:  # once a run
-            self._entries[:] = entries[self._take]
+            entries.take(self._stored, 0, self._entries, "clip")
+        else:  # single precision: once a run
+            self._entries[:] = entries[self._stored]
         self._call(self._phase, None, None)
         self._phase = _FACTOR
 
@@ -65,15 +68,15 @@ class PardisoFactor:
         return x
 
     def __del__(self) -> None:
-        if self._handle.any():  # what a failed factor leaves, too
+        if self._handle.any():  # also after a failed factorization
             self._call(_RELEASE, None, None)
 
     def _call(self, phase: int, b: np.ndarray | None, x: np.ndarray | None) -> None:
         self._numbers[2] = phase
-        handle, entries, indptr, indices, options, one = self._at
-        kind, at, size, silent, error = (one + 4 * i for i in range(1, 6))
+        handle, entries, indptr, indices, options, one = self._addresses
+        kind, at_phase, size, silent, error = (one + 4 * i for i in range(1, 6))
         load_mkl().pardiso(
-            *map(ctypes.c_void_p, (handle, one, one, kind, at, size, entries, indptr, indices, None, one)),
+            *map(ctypes.c_void_p, (handle, one, one, kind, at_phase, size, entries, indptr, indices, None, one)),
             *map(ctypes.c_void_p, (options, silent, _address(b), _address(x), error)),
         )
         if self._numbers[5] == -4:
@@ -83,37 +86,37 @@ class PardisoFactor:
 
 
 def _address(array: np.ndarray | None) -> int | None:
-    """Return where an array lies; ctypes' own pointers would leave garbage behind in every call."""
+    """Return the address of an array; ctypes' pointer objects would leave garbage behind in every call."""
     return None if array is None else array.ctypes.data
 
 
 def _upper(pattern: BlockPattern) -> tuple[Ints, np.ndarray, np.ndarray]:
-    """Return which entries of the values stand on and above the diagonal, their row pointers and columns, from 1 on.
+    """Return the flat entries of the values on and above the diagonal, their row pointers and columns, counted from 1.
 
     A stored block below the diagonal is read as its transpose above it.
     """
     d, axis = pattern.dimension, np.arange(pattern.dimension)
     column = (d * pattern.rows[:, None, None] + axis[:, None] + 0 * axis[None, :]).ravel()
     row = (d * pattern.indices[:, None, None] + 0 * axis[:, None] + axis[None, :]).ravel()
-    taken = np.flatnonzero(row <= column)
-    taken = taken[np.lexsort((column[taken], row[taken]))]
-    counts = np.bincount(row[taken], minlength=d * pattern.nodes)
+    stored = np.flatnonzero(row <= column)
+    stored = stored[np.lexsort((column[stored], row[stored]))]
+    counts = np.bincount(row[stored], minlength=d * pattern.nodes)
     indptr = np.concatenate([[1], 1 + np.cumsum(counts)])
-    return taken, indptr.astype(np.int32), (column[taken] + 1).astype(np.int32)
+    return stored, indptr.astype(np.int32), (column[stored] + 1).astype(np.int32)
 
 
 class Pardiso:
-    """A direct solve by MKL for every new matrix; positive definite ones only."""
+    """A factor by MKL for every new matrix, which must be positive definite."""
 
-    def __init__(self, pattern: BlockPattern, rtol: float = 0.0, rest: object = None) -> None:
+    def __init__(self, systems: SystemSettings) -> None:
         if load_mkl() is None:
             raise SolveError(
                 "method.linear_solver = 'pardiso' needs the mkl package: pip install 'corotational-pipeline[mkl]'"
             )
-        self._factor = PardisoFactor(pattern, np.float64)
+        self._factor = PardisoFactor(systems.pattern, np.float64)
 
-    def update(self, values: Floats, frames: object = None) -> Work:
-        """Factor the matrix; raises SolveError where it is not positive definite."""
+    def update(self, values: Floats, write_rotations: NodalRotations) -> Work:
+        """Factor the matrix; raises SolveError if it is not positive definite."""
         self._factor.update(values)
         return Work(factorizations=1)
 
@@ -121,3 +124,8 @@ class Pardiso:
         """Write the solution by substitution into x (n, d)."""
         self._factor.solve(np.ascontiguousarray(b), x)
         return Work(solves=1)
+
+
+def make_pardiso_or_superlu(systems: SystemSettings) -> LinearSolver:
+    """Return MKL's direct solver, or SuperLU if MKL is not installed."""
+    return SuperLU(systems) if load_mkl() is None else Pardiso(systems)

@@ -1,13 +1,13 @@
-r"""Conjugate gradients with the rest state's factor, turned along with the body.
+r"""Conjugate gradients with the factor of the rest state, rotated along with the body.
 
-The systems of a motion, M + h^2 sum_e R K_e R^T, differ from the one at rest, A_0, mostly by rotations. So A_0 is
-factored once and Q A_0^-1 Q^T preconditions them all, Q the block diagonal of nodal rotations: on the thesis' bar in
-10 000 tetrahedra, to 1e-6, 2 to 10 iterations, thrown three times as hard up to 15. Nothing is
-factored in a step. The factor is in single precision: it only preconditions.
+The systems of a motion, M + h^2 sum_e R K_e R^T, differ from that at rest, A_0, mostly by rotations. So A_0 is factored
+once, and Q A_0^-1 Q^T preconditions them all; Q is the block diagonal of the nodal rotations. On the thesis' bar with
+10 000 tetrahedra, to 1e-6, this takes 2 to 10 iterations, and up to 15 if thrown three times as hard. No step factors
+anything. The factor is in single precision: it only preconditions.
 
-For stiff steps of middle meshes; small ones are faster with a banded factor every step. On large ones a multigrid
-cycle of A_0, turned the same way, takes the factor's place: 12 to 16 iterations at a million tetrahedra instead of 3 to
-10, but each a sixth as long, and with a sixth of the set-up. Stretched cells, 1 : 3 : 9, cost it 60.
+For stiff steps of middle meshes; on small ones a banded factor in every step is faster. On large ones a multigrid cycle
+of A_0, rotated the same way, replaces the factor: 12 to 16 iterations at a million tetrahedra instead of 3 to 10, but
+each takes a sixth of the time, and so does the set-up. With cells stretched 1 : 3 : 9 the cycle needs 60.
 """
 
 from collections.abc import Callable
@@ -16,14 +16,16 @@ from importlib.util import find_spec
 
 import numpy as np
 from scipy.linalg.lapack import spbtrs
-from scipy.sparse.linalg import splu
 
 from pipeline.arrays import Floats, Singles
 from pipeline.fem.assembly import BlockPattern
 from pipeline.linear import pardiso
-from pipeline.linear.banded import band_of, factor_with_shift
-from pipeline.linear.cg import ConjugateGradients, NodalRotations
-from pipeline.linear.multigrid import Cycle, rigid_modes
+from pipeline.linear.band import Band
+from pipeline.linear.banded import factor_in_single, factor_with_shift
+from pipeline.linear.cg import ConjugateGradients
+from pipeline.linear.multigrid import Cycle, make_rigid_modes
+from pipeline.linear.solver import NodalRotations, SystemSettings
+from pipeline.linear.superlu import factor_symmetric
 from pipeline.linear.work import Work
 
 # [MB] of the band in double precision: above the first MKL's sparse factor is faster to read, above the second any is
@@ -32,18 +34,10 @@ _LARGE_BAND = 60.0
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
-    """The state at rest: its free nodes (n, d) [m], and what gives the values of A_0 (blocks, d, d) when asked."""
-
-    points: Floats
-    values: Callable[[], Floats]
-
-
-@dataclass(frozen=True, eq=False)
 class RestFactor:
-    """Solves A_0 y = b in single precision, for flat vectors whose nodes stand in `order`.
+    """Solves A_0 y = b in single precision, for flat vectors whose nodes are in `order`.
 
-    b may be overwritten; y is another's until the next call.
+    `solve` may overwrite b, and the next call overwrites y.
     """
 
     name: str
@@ -51,61 +45,59 @@ class RestFactor:
     solve: Callable[[Singles], Singles]
 
 
-def factor_kind(band_megabytes: float) -> str:
-    """Return how the state at rest is factored: banded; for larger ones by MKL, CHOLMOD (`fast` extra), or SuperLU."""
-    if band_megabytes <= (_LARGE_BAND if pardiso.load_mkl() is None else _SMALL_BAND):
+def choose_rest_factor(band: Band) -> str:
+    """Return how the rest state is factored: banded, or if it is large by MKL, CHOLMOD (`fast` extra) or SuperLU."""
+    if band.megabytes <= (_LARGE_BAND if pardiso.load_mkl() is None else _SMALL_BAND):
         return "banded"
     if pardiso.load_mkl() is not None:
         return "mkl"
     return "superlu" if find_spec("cholespy") is None else "cholmod"
 
 
-def factor_rest(pattern: BlockPattern, rest: Rest) -> RestFactor:
+def factor_rest(systems: SystemSettings) -> RestFactor:
     """Return the factor of the matrix at rest, of the kind for its size."""
-    return FACTORS[factor_kind(band_of(pattern).megabytes)](pattern, rest)
+    return FACTORS[choose_rest_factor(systems.band)](systems)
 
 
-def _factor_banded(pattern: BlockPattern, rest: Rest) -> RestFactor:
-    band = band_of(pattern)
-    factor = band.preconditioner(rest.values())
-    return RestFactor("banded", band.order, lambda b: spbtrs(factor, b, lower=1, overwrite_b=1)[0])
+def _factor_banded(systems: SystemSettings) -> RestFactor:
+    factor = factor_in_single(systems.band, systems.rest.assemble())
+    return RestFactor("banded", systems.band.order, lambda b: spbtrs(factor, b, lower=1, overwrite_b=1)[0])
 
 
-def _factor_by_mkl(pattern: BlockPattern, rest: Rest) -> RestFactor:
-    factor, values = pardiso.PardisoFactor(pattern, np.float32), rest.values()
-    diagonal = values[pattern.diagonal]
+def _factor_by_mkl(systems: SystemSettings) -> RestFactor:
+    pattern, values = systems.pattern, systems.rest.assemble()
+    factor, diagonal = pardiso.PardisoFactor(pattern, np.float32), values[pattern.diagonal]
 
-    def with_shift(shift: float) -> None:
+    def factor_shifted(shift: float) -> None:
         values[pattern.diagonal] = (1 + shift) * diagonal
         factor.update(values)
 
-    factor_with_shift(with_shift)
+    factor_with_shift(factor_shifted)
     y = np.empty(factor.size, dtype=np.float32)
     return RestFactor("mkl", np.arange(pattern.nodes), lambda b: factor.solve(b, y))
 
 
-def _factor_by_cholmod(pattern: BlockPattern, rest: Rest) -> RestFactor:
+def _factor_by_cholmod(systems: SystemSettings) -> RestFactor:
     from cholespy import CholeskySolverF, MatrixType
 
-    matrix = pattern.matrix(rest.values()).tocoo()
-    made = CholeskySolverF(matrix.shape[0], matrix.row, matrix.col, matrix.data, MatrixType.COO)
+    matrix = systems.pattern.matrix(systems.rest.assemble()).tocoo()
+    factor = CholeskySolverF(matrix.shape[0], matrix.row, matrix.col, matrix.data, MatrixType.COO)
     y = np.empty(matrix.shape[0], dtype=np.float32)
 
     def solve(b: Singles) -> Singles:
-        made.solve(b, y)
+        factor.solve(b, y)
         return y
 
-    return RestFactor("cholmod", np.arange(pattern.nodes), solve)
+    return RestFactor("cholmod", np.arange(systems.pattern.nodes), solve)
 
 
-def _factor_by_superlu(pattern: BlockPattern, rest: Rest) -> RestFactor:
-    matrix = pattern.matrix(rest.values()).tocsc()
-    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    nodes = np.arange(pattern.nodes)
+def _factor_by_superlu(systems: SystemSettings) -> RestFactor:
+    factor = factor_symmetric(systems.pattern.matrix(systems.rest.assemble()).tocsc())
+    nodes = np.arange(systems.pattern.nodes)
     return RestFactor("superlu", nodes, lambda b: factor.solve(b.astype(np.float64)).astype(np.float32))
 
 
-FACTORS = {
+FACTORS: dict[str, Callable[[SystemSettings], RestFactor]] = {
     "banded": _factor_banded,
     "mkl": _factor_by_mkl,
     "cholmod": _factor_by_cholmod,
@@ -114,7 +106,7 @@ FACTORS = {
 
 
 class RotatedFactor:
-    """Q A_0^-1 Q^T, with one factor, or what stands for it, for all matrices."""
+    """Q A_0^-1 Q^T, with one factor, or an approximate one, for all matrices."""
 
     def __init__(self, pattern: BlockPattern, factor: RestFactor) -> None:
         self.factor = factor
@@ -125,14 +117,14 @@ class RotatedFactor:
         # kernels are compiled, or loaded, here and not in a timed step
         self.apply(np.zeros((n, d)), 0.0, np.zeros((n, d)), np.zeros((n, d)))
 
-    def update(self, values: Floats, frames: NodalRotations) -> Work:
+    def update(self, values: Floats, write_rotations: NodalRotations) -> Work:
         """Take the nodal rotations of the matrix' state."""
-        frames(self._Q)
+        write_rotations(self._Q)
         work, self._setup = self._setup, Work()
         return work
 
     def apply(self, r: Floats, size: float, Ap: Floats, z: Floats) -> tuple[float, float]:
-        """Write Q A_0^-1 Q^T r into z; r / size is what single precision has to hold."""
+        """Write Q A_0^-1 Q^T r into z (n, d); return z . r and z . A p. Single precision has to hold only r / size."""
         from pipeline.linear.kernels import vectors as kernels
 
         size = size or 1.0
@@ -142,14 +134,14 @@ class RotatedFactor:
         return result
 
 
-def warped_cg(pattern: BlockPattern, rtol: float, rest: Rest) -> ConjugateGradients:
-    """Return conjugate gradients with the turned factor of the state at rest."""
-    return ConjugateGradients(pattern, rtol, RotatedFactor(pattern, factor_rest(pattern, rest)))
+def make_warped_cg(systems: SystemSettings) -> ConjugateGradients:
+    """Return conjugate gradients with the rotated factor of the rest state."""
+    return ConjugateGradients(systems, RotatedFactor(systems.pattern, factor_rest(systems)))
 
 
-def multigrid_cg(pattern: BlockPattern, rtol: float, rest: Rest) -> ConjugateGradients:
-    """Return conjugate gradients with the turned multigrid cycle of the state at rest."""
-    cycle = Cycle(pattern.matrix(rest.values()), rigid_modes(rest.points))
-    shape = rest.points.shape
-    factor = RestFactor("multigrid", np.arange(pattern.nodes), lambda b: cycle(b.reshape(shape)).reshape(-1))
-    return ConjugateGradients(pattern, rtol, RotatedFactor(pattern, factor))
+def make_multigrid_cg(systems: SystemSettings) -> ConjugateGradients:
+    """Return conjugate gradients with the rotated multigrid cycle of the rest state."""
+    pattern, points = systems.pattern, systems.rest.points
+    cycle = Cycle(pattern.matrix(systems.rest.assemble()), make_rigid_modes(points))
+    factor = RestFactor("multigrid", np.arange(pattern.nodes), lambda b: cycle(b.reshape(points.shape)).reshape(-1))
+    return ConjugateGradients(systems, RotatedFactor(pattern, factor))

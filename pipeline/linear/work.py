@@ -1,17 +1,14 @@
-"""Counts of the work that a step took, and its seconds."""
+"""Counts of the work of a step, and its solving time."""
 
 from dataclasses import dataclass
 
 
-@dataclass(slots=True)  # not frozen: that makes it five times slower to make, several times a step
+@dataclass(slots=True)  # not frozen: construction, several times a step, would take five times as long
 class Work:
-    """What was done: counts that machines share, and the seconds that they do not.
+    """Counts, which are the same on every machine, and seconds. The caller owns a returned object and may add to it.
 
-    Who is returned one may count on in it.
-
-    `iterations` counts the linear systems' right-hand sides posed (Newton iterations), `solves` the systems solved for
-    them, `linear_iterations` what iterative solvers took for it; `seconds` is solving alone, without measuring or
-    writing.
+    `iterations` counts right-hand sides (Newton iterations), `solves` the systems solved for them, `linear_iterations`
+    the iterations of iterative linear solvers; `seconds` is solving time, without measuring or writing.
     """
 
     steps: int = 0
@@ -23,7 +20,7 @@ class Work:
     seconds: float = 0.0
 
     def __add__(self, other: "Work") -> "Work":
-        # written out: it is called several times a step, and small bodies take a tenth of a millisecond a step
+        # written out: this is called several times a step, and a step of a small body takes a tenth of a millisecond
         return Work(
             self.steps + other.steps,
             self.solves + other.solves,

@@ -16,9 +16,11 @@ from pipeline.fem.loads import consistent_mass_pairs, lumped_mass_pairs
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import gram_schmidt, polar
 from pipeline.linear.banded import BandedCholesky
-from pipeline.linear.cg import block_jacobi_cg
-from pipeline.linear.choice import LinearSolver, SuperLU, pardiso_or_lu
-from pipeline.linear.rest_preconditioner import multigrid_cg, warped_cg
+from pipeline.linear.cg import make_block_jacobi_cg
+from pipeline.linear.pardiso import make_pardiso_or_superlu
+from pipeline.linear.rest_preconditioner import make_multigrid_cg, make_warped_cg
+from pipeline.linear.solver import LinearSolver, SystemSettings
+from pipeline.linear.superlu import SuperLU
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
 from pipeline.stepping import backward_euler, bdf2
@@ -134,24 +136,24 @@ INVERSIONS: Mapping[str, Choice[Callable[[], Treatment] | None]] = {
     "crossing": Choice(Crossing, "inverted cells: the direction that collapsed is negative; for one solve"),
 }
 # None: linear/choice.py names one of the others, by size
-LINEAR_SOLVERS: Mapping[str, Choice[Callable[..., LinearSolver] | None]] = {
+LINEAR_SOLVERS: Mapping[str, Choice[Callable[[SystemSettings], LinearSolver] | None]] = {
     "auto": Choice(
         None, "by size: banded for small meshes, then warped, then multigrid; for the linear law pardiso or superlu"
     ),
     "warped": Choice(
-        warped_cg,
+        make_warped_cg,
         "conjugate gradients with the rest state's factor turned along, to method.linear_rtol; larger meshes",
     ),
     "multigrid": Choice(
-        multigrid_cg, "as warped, with a multigrid cycle for the factor: less memory, quick set-up; large meshes"
+        make_multigrid_cg, "as warped, with a multigrid cycle for the factor: less memory, quick set-up; large meshes"
     ),
     "banded": Choice(BandedCholesky, "Cholesky of the band, factors every new matrix; fastest on small meshes"),
     "superlu": Choice(SuperLU, "sparse direct, factors every new matrix"),
     "pardiso": Choice(
-        pardiso_or_lu,
+        make_pardiso_or_superlu,
         "sparse direct by Intel MKL (the `mkl` extra; without it superlu), factors every new matrix",
     ),
-    "cg": Choice(block_jacobi_cg, "conjugate gradients with block Jacobi to method.linear_rtol: for small steps"),
+    "cg": Choice(make_block_jacobi_cg, "conjugate gradients with block Jacobi to method.linear_rtol: for small steps"),
 }
 SPLITS: Mapping[str, str] = {
     "kuhn": "every cell along the same diagonal",

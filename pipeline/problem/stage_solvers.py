@@ -11,10 +11,11 @@ from pipeline.fem.body import Body
 from pipeline.fem.compiled_body import make_body
 from pipeline.fem.laws import Linear, Tangent
 from pipeline.fem.rotation import polar
-from pipeline.linear.banded import band_of
-from pipeline.linear.choice import LinearSolver, choose_solver
+from pipeline.linear.band import Band
+from pipeline.linear.choice import choose_solver
 from pipeline.linear.pardiso import load_mkl
-from pipeline.linear.rest_preconditioner import Rest, factor_kind
+from pipeline.linear.rest_preconditioner import choose_rest_factor
+from pipeline.linear.solver import LinearSolver, RestState, SystemSettings
 from pipeline.problem.methods import INVERSIONS, LINEAR_SOLVERS, STEPPERS, find_traits
 from pipeline.stepping.auto import Auto
 from pipeline.stepping.energy_guard import EnergyGuard
@@ -55,11 +56,12 @@ def make_stepper(body: Body, dt: float, method: MethodSpec) -> Stepper:
 
 def make_stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     """Return the solver of implicit stages of size h [s] that the body's law and the method's iterations need."""
+    systems, stiffness = _describe_systems(body, h, method), h * body.frequency_bound
     if body.law.constant_tangent:
         body.warm_up()
-        return Prefactored(body, _make_linear_solver(body, h, method, constant=True), h)
+        return Prefactored(body, _make_linear_solver(systems, stiffness, method, constant=True), h)
     traits = find_traits(method)
-    solver = _make_linear_solver(body, h, method, constant=False)
+    solver = _make_linear_solver(systems, stiffness, method, constant=False)
     body.warm_up(frame_errors=traits.chooses_model, tangents=traits.is_converged)
     limits = NewtonLimits(method.tolerance, method.max_iterations, cast(Tangent, method.tangent))
     if traits.chooses_model:
@@ -68,7 +70,7 @@ def make_stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
             body.mesh, Linear(body.material), body.supports, body.load, body.mass_pairs, body.varying_load
         )
         linear.warm_up()
-        prefactored = Prefactored(linear, _make_linear_solver(body, h, method, constant=True), h)
+        prefactored = Prefactored(linear, _make_linear_solver(systems, stiffness, method, constant=True), h)
         newton = Converged(body, solver, limits)
         return Auto(body, prefactored, FrozenPasses(body, solver, 1), newton, method.volume_tolerance)
     if isinstance(method.iterations, int):
@@ -86,33 +88,33 @@ def list_linear_solvers(body: Body, h: float, method: MethodSpec) -> list[dict[s
         return []
     if method.linear_solver == "pardiso" and load_mkl() is None:
         return [{"name": "superlu", "reason": "the case names pardiso; MKL is not installed"}]
+    band = Band(body.free_pattern)
     if method.linear_solver == "warped":
-        kind = factor_kind(band_of(body.free_pattern).megabytes)
+        kind = choose_rest_factor(band)
         return [{"name": "warped", "reason": f"the case names it; the factor at rest is {kind}"}]
     if LINEAR_SOLVERS[method.linear_solver].make is not None:
         return [{"name": method.linear_solver, "reason": "the case names it"}]
     kinds = [True, False] if traits.chooses_model else [body.law.constant_tangent]
-    return [dict(zip(("name", "reason"), _choose_by_size(body, h, constant=kind), strict=True)) for kind in kinds]
+    choices = [choose_solver(band, constant=kind, stiffness=h * body.frequency_bound) for kind in kinds]
+    return [{"name": name, "reason": reason} for name, reason in choices]
 
 
-def _make_linear_solver(body: Body, h: float, method: MethodSpec, *, constant: bool) -> LinearSolver:
+def _make_linear_solver(
+    systems: SystemSettings, stiffness: float, method: MethodSpec, *, constant: bool
+) -> LinearSolver:
     make = LINEAR_SOLVERS[method.linear_solver].make
     if make is None:
-        make = LINEAR_SOLVERS[_choose_by_size(body, h, constant=constant)[0]].make
-        assert make is not None  # the choice is by name of one of the others
-    return make(body.free_pattern, method.linear_rtol, _describe_rest(body, h))
+        make = LINEAR_SOLVERS[choose_solver(systems.band, constant=constant, stiffness=stiffness)[0]].make
+        assert make is not None  # choose_solver names a row that has one
+    return make(systems)
 
 
-def _choose_by_size(body: Body, h: float, *, constant: bool) -> tuple[str, str]:
-    return choose_solver(body.free_pattern, constant=constant, stiffness=h * body.frequency_bound)
+def _describe_systems(body: Body, h: float, method: MethodSpec) -> SystemSettings:
+    """Return the systems of a body's free nodes; the state at rest has the matrix M + h^2 K."""
 
-
-def _describe_rest(body: Body, h: float) -> Rest:
-    """Return the free nodes at rest, and the function that assembles the values of M + h^2 K there."""
-
-    def values() -> Floats:
+    def assemble() -> Floats:
         A = np.empty_like(body.mass)
         body.system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
         return A[: body.free_pattern.blocks]
 
-    return Rest(body.mesh.points[body.free], values)
+    return SystemSettings(body.free_pattern, method.linear_rtol, RestState(body.mesh.points[body.free], assemble))

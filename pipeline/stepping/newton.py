@@ -27,7 +27,7 @@ from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Tangent
-from pipeline.linear.choice import LinearSolver
+from pipeline.linear.solver import LinearSolver
 from pipeline.linear.work import Work
 from pipeline.stepping.report import StepReport
 from pipeline.stepping.stage import Stage, StageSystem, advance

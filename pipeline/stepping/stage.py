@@ -22,7 +22,7 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Tangent
-from pipeline.linear.choice import LinearSolver
+from pipeline.linear.solver import LinearSolver
 from pipeline.linear.work import Work
 from pipeline.stepping.report import StepReport
 
@@ -93,10 +93,10 @@ class StageSystem:
         """Give the solver A as it is, assembled at positions x (n, d)."""
         body = self.body
 
-        def frames(out: Floats) -> None:
+        def write_rotations(out: Floats) -> None:
             body.nodal_rotations(x, self._nodal_rotations).take(body.free, 0, out, "clip")
 
-        return self.solver.update(self.A[: body.free_pattern.blocks], frames)
+        return self.solver.update(self.A[: body.free_pattern.blocks], write_rotations)
 
     @cached_property
     def _nodal_rotations(self) -> Floats:

@@ -11,16 +11,24 @@ from pipeline.fem.assembly import assemble_pattern
 from pipeline.linear import choice as linear_solve
 from pipeline.linear import pardiso
 from pipeline.linear import rest_preconditioner as warped
-from pipeline.linear.banded import Band, BandedCholesky
+from pipeline.linear.band import Band
+from pipeline.linear.banded import BandedCholesky
 from pipeline.linear.kernels.vectors import invert_blocks
 from pipeline.linear.pardiso import Pardiso
-from pipeline.linear.rest_preconditioner import Rest, multigrid_cg, warped_cg
+from pipeline.linear.rest_preconditioner import make_multigrid_cg, make_warped_cg
+from pipeline.linear.solver import RestState, SystemSettings
 from pipeline.mesh.shapes import box
 from pipeline.problem import problem as problem_module
 from pipeline.problem import stage_solvers
 from pipeline.problem.methods import LINEAR_SOLVERS
 from pipeline.problem.stage_solvers import list_linear_solvers
 from pipeline.stepping.symplectic_euler import true_limit
+
+NO_REST = RestState(np.zeros((0, 3)), lambda: np.zeros((0, 3, 3)))  # direct solvers do not use it
+
+
+def write_identities(rotations: np.ndarray) -> None:
+    np.copyto(rotations, np.eye(3))
 
 
 def path(cases_folder, solver: str, variant: str, **keys: object) -> list[np.ndarray]:
@@ -80,7 +88,7 @@ def test_warped_gives_the_same_with_every_factor(cases_folder, monkeypatch, fact
     assert np.abs(found[-1] - expected[-1]).max() < 1e-5
     pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
     unit = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
-    assert warped.factor_rest(pattern, Rest(np.zeros((8, 3)), lambda: unit)).name == factor
+    assert warped.factor_rest(SystemSettings(pattern, 1e-8, RestState(np.zeros((8, 3)), lambda: unit))).name == factor
 
 
 def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypatch) -> None:
@@ -90,7 +98,7 @@ def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypa
     reasons: list[str] = []
 
     def chosen(pattern, *, constant: bool, stiffness: float = 1e3) -> str:
-        name, reason = linear_solve.choose_solver(pattern, constant=constant, stiffness=stiffness)
+        name, reason = linear_solve.choose_solver(Band(pattern), constant=constant, stiffness=stiffness)
         assert "MB" in reason
         reasons.append(reason)
         return name
@@ -136,21 +144,21 @@ def test_pardiso_without_mkl_is_superlu_and_says_so(cases_folder, monkeypatch) -
     told = list_linear_solvers(problem.body, problem.dt, problem.method)
     assert told == [{"name": "superlu", "reason": "the case names pardiso; MKL is not installed"}]
     with pytest.raises(SolveError, match=r"pip install 'corotational-pipeline\[mkl\]'"):
-        Pardiso(problem.body.free_pattern)
+        Pardiso(SystemSettings(problem.body.free_pattern, 1e-8, NO_REST))
 
 
-@pytest.mark.parametrize("solver", [BandedCholesky, warped_cg, multigrid_cg, Pardiso])
+@pytest.mark.parametrize("solver", [BandedCholesky, make_warped_cg, make_multigrid_cg, Pardiso])
 def test_an_indefinite_matrix_is_an_error(solver) -> None:
     mesh = box([1.0, 1.0, 1.0], [1, 1, 1])
     pattern = assemble_pattern(mesh).pattern
     good = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
     bad = good.copy()
     bad[0] = np.diag([1.0, 1.0, -1.0])
-    made = solver(pattern, 1e-8, Rest(mesh.points, lambda: good))
+    made = solver(SystemSettings(pattern, 1e-8, RestState(mesh.points, lambda: good)))
     b = np.zeros((8, 3))
     b[0, 2] = 1.0
     with pytest.raises(SolveError, match="not positive definite"):
-        made.update(bad, lambda Q: np.copyto(Q, np.eye(3)))
+        made.update(bad, write_identities)
         made.solve(b, 0 * b)
 
 
@@ -171,8 +179,8 @@ def test_a_band_holds_every_entry_once() -> None:
     values[pattern.diagonal] += np.swapaxes(values[pattern.diagonal], 1, 2) + 100 * np.eye(3)
     full = pattern.matrix(values).toarray()
     np.testing.assert_array_equal(full, full.T)
-    solver = BandedCholesky(pattern)
-    solver.update(values)
+    solver = BandedCholesky(SystemSettings(pattern, 1e-8, NO_REST))
+    solver.update(values, write_identities)
     b = rng.normal(size=(pattern.nodes, 3))
     x = np.empty_like(b)
     solver.solve(b, x)

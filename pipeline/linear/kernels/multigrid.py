@@ -1,7 +1,7 @@
-"""Compiled parts of multigrid: grouping nodes, and what a cycle does on a level, each in one pass over memory.
+"""Compiled parts of multigrid: grouping nodes, and the work of a cycle on a level, each in one pass over memory.
 
-A level's matrix is stored as BlockPattern says, lower blocks only, with the diagonal blocks' inverses in their place.
-Block sizes are constants of the compiled code, which unrolls their loops.
+A level's matrix has the layout of BlockPattern, lower blocks only, with the inverses of the diagonal blocks in their
+place. Block sizes are constants of the compiled code, so that it unrolls their loops.
 """
 
 from functools import cache
@@ -9,15 +9,15 @@ from functools import cache
 import numpy as np
 from numba import njit
 
-# sums may be reordered, which makes them vector instructions; the order is the same every time
+# sums may be reordered into vector instructions; the order is the same every time
 _FAST = {"contract", "reassoc", "nsz"}
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def groups(indptr, indices, group):
+def group_nodes(indptr, indices, group):
     """Write the group of every node of a symmetric graph into group and return their number.
 
-    A group is a node with all its neighbours, where none of them has a group yet; the others join a neighbour's.
+    A node and its neighbors form a group if none of them has one yet; the other nodes join a neighbor's group.
     """
     n = len(indptr) - 1
     group[:] = -1
@@ -35,7 +35,7 @@ def groups(indptr, indices, group):
         if group[i] < 0:
             for k in range(indptr[i], indptr[i + 1]):
                 if group[indices[k]] >= 0:
-                    group[i] = -2 - group[indices[k]]  # below zero, so that nobody joins through i
+                    group[i] = -2 - group[indices[k]]  # negative, so that no other node joins through i
                     break
     for i in range(n):
         if group[i] < 0:
@@ -44,24 +44,25 @@ def groups(indptr, indices, group):
 
 
 @cache
-def sweep(d):
-    """Return a sweep of Gauss-Seidel for blocks d x d."""
+def compile_sweep(d):
+    """Return a Gauss-Seidel sweep for blocks d x d."""
 
     @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
-    def sweep(indptr, indices, A, r, x, left, back):
-        """Write x_i = D_i^-1 (r_i - sum of A_ij x_j over j < i + left_i) into x (n, d) for one node after the other.
+    def sweep(indptr, indices, A, r, x, residual, back):
+        """Write x_i = D_i^-1 (r_i - sum over j < i of A_ij x_j + residual_i) into x (n, d), node by node.
 
-        `left` (n, d), which starts as zero, takes -A_ji x_i for all j < i. So from the last node back, x is corrected;
-        from the first one on, whatever x was, x becomes (D + L)^-1 r and `left` r - A x.
+        `residual` (n, d) starts as zero; each node i subtracts A_ji x_i from it for all j < i. A sweep from the last
+        node back corrects x. A sweep from the first node on makes x (D + L)^-1 r, whatever it was, and the residual
+        r - A x.
         """
         n = len(indptr) - 1
         a, b = np.empty(d, np.float32), np.empty(d, np.float32)
-        left[:] = 0.0
+        residual[:] = 0.0
         for step in range(n):
             i = n - 1 - step if back else step
             first, last = indptr[i], indptr[i + 1] - 1
             for p in range(d):
-                a[p] = r[i, p] + left[i, p]
+                a[p] = r[i, p] + residual[i, p]
             for k in range(first, last):
                 j = indices[k]
                 for p in range(d):
@@ -75,17 +76,17 @@ def sweep(d):
             for k in range(first, last):
                 j = indices[k]
                 for q in range(d):
-                    value = left[j, q]
+                    value = residual[j, q]
                     for p in range(d):
                         value -= A[k, p, q] * b[p]
-                    left[j, q] = value
+                    residual[j, q] = value
 
     return sweep
 
 
 @cache
-def transfers(d, m):
-    """Return the restriction and the prolongation by compressed rows of blocks d x m."""
+def compile_transfers(d, m):
+    """Return restriction and prolongation for compressed rows of blocks d x m."""
 
     @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
     def restrict(indptr, indices, P, fine, coarse):

@@ -5,11 +5,11 @@ from numba import njit
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill(values, taken, target, band):
-    """Write values[taken] to band[target], both flat, and zero elsewhere."""
+def fill(values, stored, target, band):
+    """Write values[stored] to band[target], both flat, and zero elsewhere."""
     band[:] = 0.0
-    for k in range(len(taken)):
-        band[target[k]] = values[taken[k]]
+    for k in range(len(stored)):
+        band[target[k]] = values[stored[k]]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -35,7 +35,7 @@ def subtract(b, Ax, r):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def descend(step, p, Ap, x, r):
-    """Add step p to x, take step A p from r, and return |r|."""
+    """Add step p to x, subtract step A p from r, and return |r|."""
     total = 0.0
     for i in range(len(x)):
         for k in range(x.shape[1]):
@@ -46,10 +46,10 @@ def descend(step, p, Ap, x, r):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def invert_blocks(A, taken, D):
-    """Write the inverses of A[taken], blocks of 2 x 2 or 3 x 3, into D; return whether all of them have one."""
-    for n in range(len(taken)):
-        B, C = A[taken[n]], D[n]
+def invert_blocks(A, chosen, D):
+    """Write the inverses of A[chosen], blocks of 2 x 2 or 3 x 3, into D; return whether none is singular."""
+    for n in range(len(chosen)):
+        B, C = A[chosen[n]], D[n]
         if A.shape[1] == 2:
             C[0, 0], C[0, 1], C[1, 0], C[1, 1] = B[1, 1], -B[0, 1], -B[1, 0], B[0, 0]
         else:
@@ -69,7 +69,7 @@ def invert_blocks(A, taken, D):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def by_blocks(D, r, Ap, z):
+def apply_blocks(D, r, Ap, z):
     """Write D_n r_n into z (n, d) for every node n; return z . r and z . A p."""
     d = r.shape[1]
     zr = zAp = 0.0
@@ -86,7 +86,7 @@ def by_blocks(D, r, Ap, z):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def rotate_back(Q, r, order, size, y):
-    """Write Q^T r / size into y (n d,) in single precision, its nodes in the given order."""
+    """Write Q^T r / size into y (n d,) in single precision, with its nodes in the given order."""
     d = r.shape[1]
     for k in range(len(order)):
         n = order[k]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.case import load_case
-from pipeline.linear.choice import factor_bytes
+from pipeline.linear.choice import estimate_factor_bytes
 from pipeline.problem.problem import Problem, build
 from pipeline.problem.stage_solvers import list_linear_solvers
 from pipeline.stepping.report import StepReport
@@ -176,7 +176,7 @@ def _count_bytes(problem: Problem, method: str, work: dict[str, float], solvers:
         return float(cells * per_cell)
     matrix = 8.0 * pattern.blocks * pattern.dimension**2
     linear = method == "linear" or (method == "auto" and work["rung"] == 0)
-    factor = factor_bytes(pattern, solvers[0 if linear else -1]["name"])
+    factor = estimate_factor_bytes(pattern, solvers[0 if linear else -1]["name"])
     iterations, solves = work["linear_iterations"], max(work["solves"], 1)
     solving = iterations * matrix + 2 * max(solves, iterations) * factor
     if linear:

@@ -1,0 +1,53 @@
+"""The interface of linear solvers, and the settings that each of them is made from."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+from pipeline.arrays import Floats
+from pipeline.fem.assembly import BlockPattern
+from pipeline.linear.band import Band
+from pipeline.linear.work import Work
+
+NodalRotations = Callable[[Floats], object]  # writes the nodes' rotations into an array (n, d, d)
+
+
+class LinearSolver(Protocol):
+    """A solver prepared for one pattern; it holds the last matrix that `update` gave it."""
+
+    def update(self, values: Floats, write_rotations: NodalRotations) -> Work:
+        """Take the matrix with these values (blocks, d, d); solvers that need the nodes' rotations ask for them.
+
+        Raises SolveError if the matrix is singular.
+        """
+        ...
+
+    def solve(self, b: Floats, x: Floats) -> Work:
+        """Write the solution of A x = b into x (n, d); iterative solvers start from the x that they get."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class RestState:
+    """The body at rest: its free nodes (n, d) [m], and a function that assembles the values of A_0 (blocks, d, d)."""
+
+    points: Floats
+    assemble: Callable[[], Floats]
+
+
+@dataclass(frozen=True, eq=False)
+class SystemSettings:
+    """The systems that a solver is for: their pattern, the relative residual that suffices, and the state at rest.
+
+    Direct solvers use the pattern only; preconditioners are made from the state at rest.
+    """
+
+    pattern: BlockPattern
+    rtol: float
+    rest: RestState
+
+    @cached_property
+    def band(self) -> Band:
+        """Return the band of the pattern."""
+        return Band(self.pattern)
