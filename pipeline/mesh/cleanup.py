@@ -1,10 +1,9 @@
-"""What is set right on a mesh from a file, each with a note that says so, and what is refused because only its
-maker can know what was meant.
+"""Corrections of a mesh from a file, each with a note, and refusals of defects whose meaning only the author knows.
 
-Set right, as it changes no shape: cells listed twice (gmsh writes a cell once for each physical group that it is
-in), nodes that no cell names (centres of arcs; nodes of dropped boundary cells), and cells that are all mirrored,
-which is a convention of numbering. Refused: nodes on top of each other, where the body may be meant to come apart
-or be whole; and some mirrored cells among others, which lie on their neighbours.
+Corrected, because the shape stays the same: cells listed twice (gmsh writes a cell once for each of its physical
+groups), nodes without cells (centers of arcs; nodes of dropped boundary cells), and meshes whose cells are all
+mirrored, a convention of numbering. Refused: coincident nodes, at which the body may be meant to be whole or to come
+apart; and some mirrored cells among others, which overlap their neighbors.
 """
 
 import numpy as np
@@ -15,7 +14,7 @@ from pipeline.mesh.simplex import CELL_NAMES, signed_volumes
 
 
 def check_connectivity(points: Floats, cells: Ints) -> None:
-    """Raise MeshError where a cell names a node that does not exist."""
+    """Raise MeshError if a cell names a node that does not exist."""
     bad = np.flatnonzero(((cells < 0) | (cells >= len(points))).any(axis=1))
     if bad.size:
         wrong = cells[bad[0]][(cells[bad[0]] < 0) | (cells[bad[0]] >= len(points))][0]
@@ -23,7 +22,7 @@ def check_connectivity(points: Floats, cells: Ints) -> None:
 
 
 def drop_repeated_cells(cells: Ints) -> tuple[Ints, list[str]]:
-    """Return the cells (e, d + 1), each once, in their order."""
+    """Return the cells (e, d + 1) without repetitions, in their order, and a note if there were any."""
     _, first = np.unique(np.sort(cells, axis=1), axis=0, return_index=True)
     removed = len(cells) - len(first)
     if not removed:
@@ -32,7 +31,7 @@ def drop_repeated_cells(cells: Ints) -> tuple[Ints, list[str]]:
 
 
 def drop_unused_nodes(points: Floats, cells: Ints) -> tuple[Floats, Ints, list[str]]:
-    """Return points and cells without the nodes that no cell names; the others keep their order."""
+    """Return points and cells without unused nodes, and a note if there were any; the others keep their order."""
     used = np.zeros(len(points), dtype=bool)
     used[cells] = True
     unused = np.flatnonzero(~used)
@@ -40,7 +39,7 @@ def drop_unused_nodes(points: Floats, cells: Ints) -> tuple[Floats, Ints, list[s
         return points, cells, []
     note = (
         f"{unused.size} nodes that belong to no {CELL_NAMES[cells.shape[1] - 1]} were removed, first {unused[0]}; "
-        f"node numbers in the case and in the results count the other {used.sum()} from 0, in the file's order"
+        f"node numbers in the case and in the results count the remaining {used.sum()} from 0, in the file's order"
     )
     return points[used], (np.cumsum(used) - 1)[cells], [note]
 
@@ -57,14 +56,14 @@ def check_points(points: Floats) -> None:
         raise MeshError(
             f"{twice.size} nodes lie exactly on others, first {twice[0]} on {original[twice[0]]} at "
             f"{points[twice[0]].tolist()}: the body would come apart there; merge them (gmsh: Coherence Mesh; "
-            "pyvista: grid.clean()), or set the parts a little apart if that is meant"
+            "pyvista: grid.clean()), or move the parts slightly apart if that is intended"
         )
 
 
 def orient_cells(points: Floats, cells: Ints) -> tuple[Ints, list[str]]:
-    """Return the cells, reoriented where all of them, two or more, are mirrored; flat and mixed ones are left as is.
+    """Return the cells, reoriented if all of at least two are mirrored, and a note in that case.
 
-    A single mirrored cell has no neighbour that agrees with it: it may as well be inverted, and is left too.
+    A single mirrored cell may as well be inverted, since no neighbor agrees with it: it is left as it is.
     """
     if len(cells) < 2 or not (signed_volumes(points, cells) < 0).all():
         return cells, []

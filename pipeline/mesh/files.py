@@ -1,9 +1,9 @@
-"""Meshes from files: anything that meshio reads, brought to one simplex mesh; every clean-up is told in a note."""
+"""Meshes from files that meshio reads, converted to one simplex mesh; a note reports every correction."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from os import PathLike
-from os.path import isfile  # pathlib's raises where a name is longer than the system allows
+from os.path import isfile  # pathlib's raises if a name is longer than the system allows
 from pathlib import Path
 
 import numpy as np
@@ -26,14 +26,14 @@ _NEEDED = "linear tetrahedra or planar triangles are needed"
 
 
 def read_mesh(path: str | PathLike[str], scale: float = 1.0) -> Mesh:
-    """Return the tetrahedra of a file, or its triangles where it is planar, with points times scale.
+    """Return the tetrahedra of a file, or the triangles of a planar one, with points times scale.
 
-    The mesh's `notes` list every clean-up. Raises MeshError for a file that meshio cannot read, a surface, higher-order
-    or other solid cells, and for cells and points that cleanup.py refuses.
+    The mesh's `notes` list every correction. Raises MeshError for a file that meshio cannot read, a surface,
+    higher-order or other solid cells, and for cells and points that cleanup.py refuses.
     """
     path = Path(path)
-    points, blocks, said = _read_blocks(path)
-    notes = [f"meshio says: {said}"] if said else []
+    points, blocks, output = _read_blocks(path)
+    notes = [f"meshio says: {output}"] if output else []
     try:
         points, cells, dropped = _find_simplices(points, blocks)
         check_connectivity(points, cells)
@@ -49,28 +49,28 @@ def read_mesh(path: str | PathLike[str], scale: float = 1.0) -> Mesh:
 
 
 def _read_blocks(path: Path) -> tuple[Floats, list[CellBlock], str]:
-    """Return points, blocks of cells and what meshio would have printed, read in a child process."""
+    """Return points, blocks of cells and meshio's printed output, read in a child process."""
     if not isfile(path):
         raise MeshError(f"{shorten(str(path), 500)}: no such mesh file")
     if not path.stat().st_size:
         raise MeshError(f"{path}: the file is empty")
-    if why := find_refusal(path):
-        raise MeshError(f"{path}: {why}")
-    points, blocks, said = SHARED_READER.read("pipeline.formats.meshio_reader:read_plain_mesh", path, error=MeshError)
-    return points, blocks, said
+    if reason := find_refusal(path):
+        raise MeshError(f"{path}: {reason}")
+    points, blocks, output = SHARED_READER.read("pipeline.formats.meshio_reader:read_plain_mesh", path, error=MeshError)
+    return points, blocks, output
 
 
 def _find_simplices(points: Floats, blocks: Sequence[CellBlock]) -> tuple[Floats, Ints, list[str]]:
-    """Return points (n, 2 or 3), the simplices of the highest dimension and a note of what else was dropped."""
+    """Return points (n, 2 or 3), the simplices of the highest dimension and a note about dropped cells."""
     d = max((dimension for _, dimension, *_ in blocks), default=0)
     top = {kind for kind, dimension, *_ in blocks if dimension == d}
     if top != {SIMPLEX_NAMES.get(d)}:
         raise MeshError(f"has {_join_kinds(kind for kind, *_ in blocks)}; {_NEEDED}{_find_remedy(top, d)}")
     if points.ndim != 2 or points.shape[1] not in (d, 3):
-        raise MeshError(f"points {points.shape} do not go with {CELL_NAMES[d]} cells")
+        raise MeshError(f"points {points.shape} do not fit {CELL_NAMES[d]} cells")
     cells = np.concatenate([nodes for _, dimension, _, nodes in blocks if dimension == d])
     if cells.ndim != 2 or cells.shape[1] != d + 1:
-        raise MeshError(f"cells {cells.shape} are no {CELL_NAMES[d]} cells")
+        raise MeshError(f"cells {cells.shape} are not {CELL_NAMES[d]} cells")
     lower = Counter[str]()
     for kind, dimension, count, _ in blocks:
         if dimension < d:
@@ -86,7 +86,7 @@ def _join_kinds(kinds: Iterable[str]) -> str:
 
 
 def _find_remedy(kinds: set[str], d: int) -> str:
-    """Return what to do about cells of the highest dimension that are not all linear simplices."""
+    """Return the remedy for cells of the highest dimension that are not all linear simplices."""
     if d < 2:
         return ""
     if any(kind.startswith("VTK_LAGRANGE") or kind.strip("abcdefghijklmnopqrstuvwxyz") for kind in kinds):
@@ -98,7 +98,7 @@ def _drop_z(points: Floats) -> Floats:
     """Return the points of triangles without their third coordinate, which must be constant."""
     if points.shape[1] == 2:
         return points
-    # what was computed in double precision differs by a few 1e-16 of its size
+    # coordinates computed in double precision differ by a few 1e-16 of their size
     if np.ptp(points[:, 2]) > 1e-12 * float(np.abs(points).max()):
         raise MeshError(
             "triangles that do not lie in a plane of constant z are a surface; "

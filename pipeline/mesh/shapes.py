@@ -1,4 +1,4 @@
-"""Shapes that are meshed by rule: boxes of tetrahedra and rectangles of triangles."""
+"""Structured meshes: boxes of tetrahedra and rectangles of triangles."""
 
 from collections.abc import Sequence
 from itertools import permutations
@@ -11,14 +11,14 @@ from pipeline.errors import MeshError, quote_value
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.system.memory import read_free_bytes
 
-# split of a cell into simplices along the diagonal from its low to its high corner; `alternating` mirrors every other
-# cell, which takes away the bias of one diagonal direction
+# a cell is split into simplices along the diagonal from its low to its high corner; `alternating` mirrors every other
+# cell, which removes the bias of one diagonal direction
 SPLITS = ("kuhn", "alternating")
-_BYTES = 270  # a simplex in a body that is built, measured with 100 000 and 800 000 tetrahedra
+_BYTES = 270  # per simplex of a complete body, measured with 100 000 and 800 000 tetrahedra
 
 
 def box(size: Sequence[float], cells: Sequence[int], split: str = "kuhn") -> Mesh:
-    """Return [0, size] in cells of 6 tetrahedra: 3 sizes [m], 3 counts. Kuhn's split shares one diagonal direction."""
+    """Return [0, size] in cells of 6 tetrahedra: 3 sizes [m], 3 counts. Kuhn's split uses one diagonal direction."""
     return _mesh_grid(size, cells, split, dimension=3, name="box")
 
 
@@ -43,7 +43,7 @@ def _mesh_grid(size: Sequence[float], cells: Sequence[int], split: str, *, dimen
 
 
 def _check_memory(cells: Sequence[int], dimension: int) -> None:
-    """Raise MeshError for a mesh that is larger than the memory that is free: the system would end the process."""
+    """Raise MeshError if the mesh would not fit into the free memory: the system would end the process."""
     simplices = prod(cells) * factorial(dimension)
     needed, free = simplices * _BYTES, read_free_bytes()
     if needed > free:
@@ -54,7 +54,7 @@ def _check_memory(cells: Sequence[int], dimension: int) -> None:
 
 
 def _find_kuhn_paths(dimension: int) -> list[Ints]:
-    """Return the corners (d + 1, d) of each simplex of the unit cube: paths from low to high corner along axes."""
+    """Return the corners (d + 1, d) of each simplex of the unit cube: paths along axes from low to high corner."""
     steps = np.eye(dimension, dtype=np.int64)
     return [
         np.concatenate([np.zeros((1, dimension), np.int64), np.cumsum(steps[list(order)], axis=0)])
@@ -63,13 +63,13 @@ def _find_kuhn_paths(dimension: int) -> list[Ints]:
 
 
 def _number_nodes(corners: Ints, low: Ints, mirrored: np.ndarray, counts: Ints) -> Ints:
-    """Return the node numbers (cells, d + 1) of one simplex in every grid cell, its corners mirrored where asked."""
+    """Return the node numbers (cells, d + 1) of one simplex in every grid cell; marked cells are mirrored."""
     offset = np.where(mirrored[:, None, :], 1 - corners, corners)
     return np.ravel_multi_index(tuple(np.moveaxis(low[:, None, :] + offset, -1, 0)), tuple(counts)).astype(np.int64)
 
 
 def _orient_cells(points: Floats, cells: Ints) -> Ints:
-    """Return the cells with the last two vertices swapped where that makes the volume positive."""
+    """Return the cells with the last two vertices swapped if the volume would be negative."""
     wrong = signed_volumes(points, cells) < 0
     cells[wrong] = cells[wrong][:, [*range(cells.shape[1] - 2), -1, -2]]
     return cells

@@ -1,4 +1,4 @@
-"""The simplex mesh: triangles in the plane (d = 2) or tetrahedra in space (d = 3), and its own numbers."""
+"""The simplex mesh, triangles in the plane (d = 2) or tetrahedra in space (d = 3), and its measures."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,8 +10,8 @@ from scipy.sparse.csgraph import connected_components
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
 
-_LARGEST = 1e30  # [m]: squares and cubes stay in what doubles hold
-_AT_A_TIME = 8192  # cells: what is made of them on the way stays in the cache
+_LARGEST = 1e30  # [m]: squares and cubes of coordinates do not overflow
+_AT_A_TIME = 8192  # cells: intermediate arrays stay in the cache
 CELL_NAMES = {2: "triangle", 3: "tetrahedron"}
 
 
@@ -21,14 +21,14 @@ def edge_matrices(points: Floats, cells: Ints) -> Floats:
 
 
 def signed_volumes(points: Floats, cells: Ints) -> Floats:
-    """Return det D / d! (e,): volumes [m3], or areas [m2] for triangles; negative where inverted.
+    """Return det D / d! (e,): volumes [m3], or areas [m2] for triangles; negative if inverted.
 
-    That cells name nodes that there are is not checked.
+    Cells are not checked: every node number must exist.
     """
     out, by_component = np.empty(len(cells)), np.ascontiguousarray(points.T)
-    with np.errstate(all="ignore"):  # of numbers near the ends of what doubles hold: judged by who asks
+    with np.errstate(all="ignore"):  # overflow and underflow are checked by the caller
         for k in range(0, len(cells), _AT_A_TIME):
-            # clip: no check of every index, which takes as long as the rest
+            # clip: the check of every index would take as long as the rest
             first, *others = (by_component.take(a, 1, mode="clip") for a in cells[k : k + _AT_A_TIME].T)
             D = np.stack([other - first for other in others], axis=1)  # D[i, k]: component i of edge k of all cells
             out[k : k + _AT_A_TIME] = _determinants(D) / (2 if len(D) == 2 else 6)
@@ -36,7 +36,7 @@ def signed_volumes(points: Floats, cells: Ints) -> Floats:
 
 
 def _determinants(D: Floats) -> Floats:
-    """Return the determinants of D (d, d, e); expanded: LAPACK takes four times as long for as many digits."""
+    """Return the determinants of D (d, d, e); expanded: LAPACK takes four times as long and is no more accurate."""
     if len(D) == 2:
         return np.asarray(D[0, 0] * D[1, 1] - D[0, 1] * D[1, 0])
     return np.asarray(
@@ -70,7 +70,8 @@ class Mesh:
         if not len(self.cells):
             raise MeshError(f"{self.name}: no {CELL_NAMES[d]}")
         if self.cells.min() < 0 or self.cells.max() >= n:
-            raise MeshError(f"{self.name}: a cell names node {self.cells.max()} of {n} (counted from 0)")
+            wrong = self.cells.min() if self.cells.min() < 0 else self.cells.max()
+            raise MeshError(f"{self.name}: a cell names node {wrong} of {n} (counted from 0)")
         if not (np.abs(self.points) <= _LARGEST).all():  # written so that NaN fails too
             raise MeshError(f"{self.name}: a point is not finite, or farther than {_LARGEST:g} from the origin")
         bad = np.flatnonzero(~((self.rest_volumes > 0) & np.isfinite(self.rest_volumes)))
@@ -114,7 +115,7 @@ class Mesh:
 
 
 def quality(mesh: Mesh) -> Floats:
-    """Return d inradius / circumradius of every cell (e,): 1 is regular, 0 is flat."""
+    """Return d inradius / circumradius of every cell (e,): 1 for a regular cell, 0 for a flat one."""
     d = mesh.dimension
     faces = np.array([np.delete(np.arange(d + 1), a) for a in range(d + 1)])
     corners = mesh.points[mesh.cells[:, faces]]  # (e, face, d vertices, d)
@@ -125,13 +126,13 @@ def quality(mesh: Mesh) -> Floats:
         areas = np.linalg.norm(np.cross(sides[:, :, 0], sides[:, :, 1]), axis=-1) / 2
     inradius = d * mesh.rest_volumes / areas.sum(axis=1)
     edges = np.swapaxes(edge_matrices(mesh.points, mesh.cells), 1, 2)
-    # the circumcentre c, seen from the first vertex, satisfies edge . c = |edge|^2 / 2 for every edge
-    centre = np.linalg.solve(edges, (edges**2).sum(axis=2, keepdims=True) / 2)[:, :, 0]
-    return np.asarray(d * inradius / np.linalg.norm(centre, axis=1))
+    # the circumcenter c, seen from the first vertex, satisfies edge . c = |edge|^2 / 2 for every edge
+    center = np.linalg.solve(edges, (edges**2).sum(axis=2, keepdims=True) / 2)[:, :, 0]
+    return np.asarray(d * inradius / np.linalg.norm(center, axis=1))
 
 
 def component_labels(mesh: Mesh) -> tuple[int, Ints]:
-    """Return the number of connected components and each node's label (n,); a lone node is one of its own."""
+    """Return the number of connected components and each node's label (n,); a node without cells is a component."""
     a = np.repeat(mesh.cells[:, :1], mesh.dimension, axis=1).ravel()
     b = mesh.cells[:, 1:].ravel()
     n = len(mesh.points)

@@ -1,4 +1,4 @@
-"""The boundary of a simplex mesh: the faces that belong to one cell only."""
+"""The boundary of a simplex mesh: the faces that belong to only one cell."""
 
 import numpy as np
 
@@ -10,14 +10,14 @@ _OUTWARD = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[1, 2, 3], [0, 3
 
 
 def boundary_faces(mesh: Mesh) -> tuple[Ints, Ints]:
-    """Return the boundary faces (f, d), outward oriented, and the cell that each belongs to (f,)."""
+    """Return the boundary faces (f, d), oriented outward, and the cell of each (f,)."""
     d, n = mesh.dimension, len(mesh.points)
     faces = mesh.cells[:, _OUTWARD[d]].reshape(-1, d)
     nodes = np.sort(faces, axis=1)
     order = np.lexsort((nodes[:, -1], nodes[:, 0] * n + nodes[:, -2]))  # five times as fast as np.unique of rows
     differs = np.ones(len(order) + 1, dtype=bool)
     differs[1:-1] = (np.diff(nodes[order], axis=0) != 0).any(axis=1)
-    chosen = np.sort(order[differs[1:] & differs[:-1]])  # unlike the face before it and the one after
+    chosen = np.sort(order[differs[1:] & differs[:-1]])  # faces that differ from both neighbors in the order
     return faces[chosen], chosen // (d + 1)
 
 

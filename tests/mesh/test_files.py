@@ -1,4 +1,4 @@
-"""Mesh files of other people: every format's writer, boundary cells, clean-ups told in notes, and what is refused."""
+"""Mesh files of other programs: every format's writer, boundary cells, corrections with notes, and refusals."""
 
 import base64
 import sys
@@ -25,7 +25,7 @@ TWO = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
 TWO_CELLS = np.array([[0, 1, 2, 3], [1, 4, 2, 3]])
 HEXAHEDRON = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 
-# As gmsh writes it: a volume of two tets, three of its faces, a line, a point, with entities and physical names.
+# Written by gmsh: a volume of two tets, three of its faces, a line, a point, with entities and physical names.
 GMSH_41 = """$MeshFormat
 4.1 0 8
 $EndMeshFormat
@@ -109,12 +109,12 @@ XDMF = """<Xdmf Version="3.0"><Domain><Grid Name="Grid"><Geometry GeometryType="
 """
 
 
-def written(path: Path, points, cells, **options) -> Path:
+def write_mesh(path: Path, points, cells, **options) -> Path:
     meshio.Mesh(points, cells).write(path, **options)
     return path
 
 
-def noted(path: Path, **options) -> tuple[Mesh, list[str]]:
+def read_with_notes(path: Path, **options) -> tuple[Mesh, list[str]]:
     mesh = read_mesh(path, **options)
     return mesh, list(mesh.notes)
 
@@ -138,11 +138,11 @@ def noted(path: Path, **options) -> tuple[Mesh, list[str]]:
     ],
     ids=str,
 )
-def test_a_boundary_in_the_file_is_dropped_and_said(tmp_path, name, options, dropped, capfd):
+def test_boundary_cells_of_a_file_are_dropped_with_a_note(tmp_path, name, options, dropped, capfd):
     blocks = [("vertex", [[0]]), ("line", EDGES), ("triangle", FACES), ("tetra", TETS)]
-    path = written(tmp_path / name, BOX.points, blocks, **options)
-    capfd.readouterr()  # meshio's writer has its say
-    mesh, notes = noted(path, scale=0.5)
+    path = write_mesh(tmp_path / name, BOX.points, blocks, **options)
+    capfd.readouterr()  # discard the output of meshio's writer
+    mesh, notes = read_with_notes(path, scale=0.5)
     assert np.array_equal(mesh.cells, TETS)
     assert mesh.points == pytest.approx(0.5 * BOX.points, abs=1e-15)
     assert notes == [f"{name}: cells of lower dimension were dropped: {dropped}"]
@@ -157,7 +157,7 @@ def test_cells_alone_come_back_without_a_note(tmp_path, name, suffix, options):
     mesh = BOXES[name]
     points = np.pad(mesh.points, [(0, 0), (0, 3 - mesh.dimension)])
     kind = {3: "tetra", 2: "triangle"}[mesh.dimension]
-    back, notes = noted(written(tmp_path / f"it.{suffix}", points, [(kind, mesh.cells)], **options))
+    back, notes = read_with_notes(write_mesh(tmp_path / f"it.{suffix}", points, [(kind, mesh.cells)], **options))
     assert np.array_equal(back.cells, mesh.cells) and back.points == pytest.approx(mesh.points, abs=1e-14)
     assert notes == []
 
@@ -166,7 +166,7 @@ def test_cells_alone_come_back_without_a_note(tmp_path, name, suffix, options):
 def test_gmsh_files_with_names_boundary_and_a_geometry_point(tmp_path, text, capfd):
     path = tmp_path / "it.msh"
     path.write_text(text)
-    mesh, notes = noted(path)
+    mesh, notes = read_with_notes(path)
     assert mesh.points.tolist() == TWO.tolist() and mesh.cells.tolist() == TWO_CELLS.tolist()
     assert notes[0] == "it.msh: cells of lower dimension were dropped: 1 line, 3 triangle, 1 vertex"
     assert "1 nodes that belong to no tetrahedron were removed" in notes[1] and len(notes) == 2
@@ -182,43 +182,43 @@ def test_the_package_that_a_format_needs_is_named(tmp_path, in_process, monkeypa
 
 
 def test_xdmf_with_its_numbers_in_the_file(tmp_path, monkeypatch):
-    # meshio imports h5py for any XDMF file, and uses it only where the numbers are in an HDF5 file
+    # meshio imports h5py for any XDMF file, and uses it only if the numbers are in an HDF5 file
     monkeypatch.setitem(sys.modules, "h5py", types.ModuleType("h5py"))
     path = tmp_path / "it.xdmf"
     path.write_text(XDMF)
-    mesh, notes = noted(path)
+    mesh, notes = read_with_notes(path)
     assert mesh.points.tolist() == TWO.tolist() and mesh.cells.tolist() == TWO_CELLS.tolist() and notes == []
 
 
 @pytest.mark.parametrize("binary", [True, False], ids=["binary", "ascii"])
 @pytest.mark.parametrize("suffix", ["vtu", "vtk"])
-def test_what_pyvista_writes(tmp_path, suffix, binary):
+def test_files_written_by_pyvista(tmp_path, suffix, binary):
     import pyvista
 
     kinds = {pyvista.CellType.TETRA: TETS, pyvista.CellType.TRIANGLE: FACES}
     pyvista.UnstructuredGrid(kinds, BOX.points).save(tmp_path / f"it.{suffix}", binary=binary)
-    mesh, notes = noted(tmp_path / f"it.{suffix}")
+    mesh, notes = read_with_notes(tmp_path / f"it.{suffix}")
     assert np.array_equal(mesh.cells, TETS) and np.array_equal(mesh.points, BOX.points)
     assert notes == [f"it.{suffix}: cells of lower dimension were dropped: 44 triangle"]
 
 
-# Clean-ups
+# Corrections
 
 
-def test_nodes_without_a_cell_are_removed_and_the_numbering_is_said(tmp_path):
-    points = np.insert(TWO, [0, 2], [[9.0, 9, 9], [np.nan, 0, 0]], axis=0)  # nodes 0 and 3; NaN does no harm there
+def test_nodes_without_a_cell_are_removed_and_the_note_explains_the_numbering(tmp_path):
+    points = np.insert(TWO, [0, 2], [[9.0, 9, 9], [np.nan, 0, 0]], axis=0)  # nodes 0 and 3; unused
     cells = np.array([1, 2, 4, 5, 6])[TWO_CELLS]
-    mesh, notes = noted(written(tmp_path / "it.vtu", points, [("tetra", cells)]))
+    mesh, notes = read_with_notes(write_mesh(tmp_path / "it.vtu", points, [("tetra", cells)]))
     assert np.array_equal(mesh.points, TWO) and np.array_equal(mesh.cells, TWO_CELLS)
     assert notes == [
         "it.vtu: 2 nodes that belong to no tetrahedron were removed, first 0; node numbers in the case and in the "
-        "results count the other 5 from 0, in the file's order"
+        "results count the remaining 5 from 0, in the file's order"
     ]
 
 
 def test_cells_listed_twice_count_once(tmp_path):
     cells = np.concatenate([TWO_CELLS[:1], TWO_CELLS[:, [1, 2, 0, 3]], TWO_CELLS[1:]])
-    mesh, notes = noted(written(tmp_path / "it.vtu", TWO, [("tetra", cells)]))
+    mesh, notes = read_with_notes(write_mesh(tmp_path / "it.vtu", TWO, [("tetra", cells)]))
     assert mesh.rest_volumes.sum() == pytest.approx(0.5, rel=1e-14) and len(mesh.cells) == 2
     assert notes == ["it.vtu: 2 cells were listed twice and count once"]
 
@@ -228,8 +228,8 @@ def test_a_mesh_that_is_mirrored_as_a_whole_is_reoriented(tmp_path, name):
     mesh = BOXES[name]
     kind = {3: "tetra", 2: "triangle"}[mesh.dimension]
     points = np.pad(mesh.points, [(0, 0), (0, 3 - mesh.dimension)])
-    path = written(tmp_path / "it.vtu", points * [-1, 1, 1], [(kind, mesh.cells)])
-    back, notes = noted(path)
+    path = write_mesh(tmp_path / "it.vtu", points * [-1, 1, 1], [(kind, mesh.cells)])
+    back, notes = read_with_notes(path)
     assert back.rest_volumes == pytest.approx(mesh.rest_volumes, rel=1e-14)
     assert np.array_equal(np.sort(back.cells, axis=1), np.sort(mesh.cells, axis=1))
     assert len(notes) == 1 and f"all {len(mesh.cells)} " in notes[0] and "reoriented" in notes[0]
@@ -237,21 +237,23 @@ def test_a_mesh_that_is_mirrored_as_a_whole_is_reoriented(tmp_path, name):
 
 def test_planar_triangles_lie_anywhere_along_z_beside_stray_nodes(tmp_path):
     points = np.array([[0.0, 0, 7], [1, 0, 7], [0, 1, 7], [3, 3, 3]])
-    mesh, notes = noted(written(tmp_path / "it.vtu", points, [("triangle", [[0, 1, 2]]), ("line", [[0, 1]])]))
+    mesh, notes = read_with_notes(
+        write_mesh(tmp_path / "it.vtu", points, [("triangle", [[0, 1, 2]]), ("line", [[0, 1]])])
+    )
     assert mesh.dimension == 2 and mesh.points.tolist() == [[0, 0], [1, 0], [0, 1]]
     assert len(notes) == 2
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1e9])
-def test_what_is_planar_does_not_depend_on_the_unit(tmp_path, scale):
+def test_planarity_does_not_depend_on_the_unit(tmp_path, scale):
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0.01]])
     with pytest.raises(MeshError, match="are a surface"):
-        read_mesh(written(tmp_path / "it.vtu", points * scale, [("triangle", [[0, 1, 2]])]))
+        read_mesh(write_mesh(tmp_path / "it.vtu", points * scale, [("triangle", [[0, 1, 2]])]))
 
 
 def test_notes_of_the_file_reach_the_problem_and_supports_count_cleaned_nodes(tmp_path):
     points = np.insert(TWO, 0, [[9.0, 9, 9]], axis=0)
-    written(tmp_path / "m.vtu", points, [("tetra", TWO_CELLS + 1), ("triangle", [[1, 2, 3]])])
+    write_mesh(tmp_path / "m.vtu", points, [("tetra", TWO_CELLS + 1), ("triangle", [[1, 2, 3]])])
     path = write_case(tmp_path, mesh={"file": "m.vtu"}, supports=[{"nodes": [4]}])
     problem = build(load_case(path).variant("polar"))
     assert [note.split(": ")[0] for note in problem.notes] == ["m.vtu", "m.vtu"]
@@ -308,8 +310,8 @@ def test_notes_of_the_file_reach_the_problem_and_supports_count_cleaned_nodes(tm
     ids="surface quadratic quadratic_planar mixed wedge quad lines duplicates one_inverted repeated_node "
     "infinite nan too_high negative".split(),
 )
-def test_what_cannot_be_simulated_says_why_in_one_line(tmp_path, points, blocks, words, capfd):
-    path = written(tmp_path / "it.vtu", points, [(kind, np.array(cells)) for kind, cells in blocks])
+def test_a_mesh_that_cannot_be_simulated_is_refused_in_one_line(tmp_path, points, blocks, words, capfd):
+    path = write_mesh(tmp_path / "it.vtu", points, [(kind, np.array(cells)) for kind, cells in blocks])
     capfd.readouterr()
     with pytest.raises(MeshError, match=words) as caught:
         read_mesh(path)
@@ -319,7 +321,7 @@ def test_what_cannot_be_simulated_says_why_in_one_line(tmp_path, points, blocks,
 
 @pytest.mark.parametrize("suffix", ["vtu", "vtk", "msh", "mesh", "inp", "bdf", "xdmf", "stl", "ply", "med", "what", ""])
 @pytest.mark.parametrize("content", [b"", b"\x00\xff" * 40, b"no mesh\n"], ids=["empty", "binary", "text"])
-def test_a_file_that_is_none_is_one_line_and_nothing_is_printed(tmp_path, suffix, content, capfd):
+def test_an_invalid_file_gives_a_one_line_error_and_no_output(tmp_path, suffix, content, capfd):
     path = tmp_path / (f"it.{suffix}" if suffix else "it")
     path.write_bytes(content)
     with pytest.raises(MeshError) as caught:
@@ -343,7 +345,7 @@ def test_a_file_that_is_none_is_one_line_and_nothing_is_printed(tmp_path, suffix
     ids=str,
 )
 def test_a_file_cut_off_anywhere_is_refused_or_still_a_mesh(tmp_path, name, options, capfd):
-    data = written(tmp_path / name, BOX.points, [("tetra", TETS)], **options).read_bytes()
+    data = write_mesh(tmp_path / name, BOX.points, [("tetra", TETS)], **options).read_bytes()
     capfd.readouterr()
     refused = 0
     for length in np.linspace(1, len(data) - 2, 25).astype(int):
@@ -370,8 +372,8 @@ def test_a_folder_and_a_missing_file_are_no_mesh(tmp_path):
             read_mesh(path)
 
 
-def test_what_meshio_says_while_it_reads_is_a_note(tmp_path, in_process, monkeypatch, capfd):
-    path = written(tmp_path / "it.vtu", TWO, [("tetra", TWO_CELLS)])
+def test_output_of_meshio_becomes_a_note(tmp_path, in_process, monkeypatch, capfd):
+    path = write_mesh(tmp_path / "it.vtu", TWO, [("tetra", TWO_CELLS)])
     real = meshio.read
 
     def loud(name):
@@ -379,13 +381,13 @@ def test_what_meshio_says_while_it_reads_is_a_note(tmp_path, in_process, monkeyp
         return real(name)
 
     monkeypatch.setattr(meshio, "read", loud)
-    assert noted(path)[1] == ["it.vtu: meshio says: watch out"]
+    assert read_with_notes(path)[1] == ["it.vtu: meshio says: watch out"]
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_reader_that_wants_more_memory_than_there_is_is_refused(tmp_path):
+def test_a_file_that_needs_more_than_the_available_memory_is_refused(tmp_path):
     header = base64.b64encode(np.array([1 << 60], dtype=np.uint64).tobytes()).decode()
-    path = written(tmp_path / "it.vtu", TWO, [("tetra", TWO_CELLS)], compression=None)
+    path = write_mesh(tmp_path / "it.vtu", TWO, [("tetra", TWO_CELLS)], compression=None)
     text = path.read_text()
     start = text.index("\n", text.index("<DataArray")) + 1
     path.write_text(text[:start] + header + text[start + len(header) :])

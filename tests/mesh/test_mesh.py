@@ -1,4 +1,4 @@
-"""Meshes: by rule, from files of several formats, their quality and boundary, and every refusal."""
+"""Meshes: structured, from files of several formats, their quality and boundary, and every refusal."""
 
 import meshio
 import numpy as np
@@ -17,7 +17,7 @@ ONE = np.array([[0, 1, 2, 3]])
 
 
 @pytest.mark.parametrize("split", ["kuhn", "alternating"])
-def test_the_thesis_bar_has_its_counts_and_tets_of_one_cubic_metre(split):
+def test_the_thesis_bar_has_its_counts_and_tets_of_one_cubic_meter(split):
     mesh = thesis_bar(split)
     assert mesh.points.shape == (81, 3) and mesh.cells.shape == (192, 4)
     assert mesh.rest_volumes == pytest.approx(np.ones(192), rel=1e-14)
@@ -34,8 +34,8 @@ def test_cells_fill_the_box_and_meet_face_to_face(name):
     # a split that does not match across two cells would count inner faces as boundary
     assert np.linalg.norm(areas, axis=1).sum() == pytest.approx(22.0 if d == 3 else 10.0, rel=1e-14)
     assert np.abs(areas.sum(axis=0)).max() < 1e-14  # closed
-    centres = mesh.points[mesh.cells[owners]].mean(axis=1)
-    assert (((mesh.points[faces].mean(axis=1) - centres) * areas).sum(axis=1) > 0).all()  # outward
+    centers = mesh.points[mesh.cells[owners]].mean(axis=1)
+    assert (((mesh.points[faces].mean(axis=1) - centers) * areas).sum(axis=1) > 0).all()  # outward
 
 
 def test_kuhn_cuts_every_cell_along_one_diagonal():
@@ -62,7 +62,7 @@ def test_quality_is_the_ratio_of_the_radii(points, wanted):
         assert quality(Mesh(scale * points, cells)) == pytest.approx([wanted], rel=1e-12)
 
 
-def test_components_are_told_apart():
+def test_components_are_distinguished():
     two = Mesh(np.concatenate([TET, TET + 5]), np.concatenate([ONE, ONE + 4]))
     count, labels = component_labels(two)
     assert count == 2 and labels.tolist() == [0] * 4 + [1] * 4
@@ -104,7 +104,7 @@ def test_a_mesh_that_cannot_be_simulated_is_refused(points, cells, words):
     ],
     ids=["planar_box", "solid_rectangle", "split"],
 )
-def test_a_shape_says_what_it_takes(make, words):
+def test_a_wrong_argument_of_a_shape_is_named(make, words):
     with pytest.raises(MeshError, match=words):
         make()
 
@@ -112,30 +112,30 @@ def test_a_shape_says_what_it_takes(make, words):
 # Files
 
 
-def written(path, points, cells):
+def write_mesh(path, points, cells):
     meshio.Mesh(points, cells).write(path)
     return path
 
 
 @pytest.mark.parametrize("suffix", ["vtu", "vtk", "msh", "inp", "mesh"])
 @pytest.mark.parametrize("name", BOXES)
-def test_what_meshio_writes_comes_back(tmp_path, name, suffix):
+def test_files_written_by_meshio_are_read_back(tmp_path, name, suffix):
     mesh = BOXES[name]
     kind = {3: "tetra", 2: "triangle"}[mesh.dimension]
     points = np.pad(mesh.points, [(0, 0), (0, 3 - mesh.dimension)])
-    back = read_mesh(written(tmp_path / f"it.{suffix}", points, [(kind, mesh.cells)]), scale=2.0)
+    back = read_mesh(write_mesh(tmp_path / f"it.{suffix}", points, [(kind, mesh.cells)]), scale=2.0)
     assert np.array_equal(back.cells, mesh.cells)
     assert back.points == pytest.approx(2 * mesh.points, abs=1e-14)
 
 
 def test_boundary_triangles_lines_and_vertices_of_a_tet_mesh_are_dropped(tmp_path):
     blocks = [("vertex", [[0]]), ("line", [[0, 1]]), ("triangle", [[0, 1, 2]]), ("tetra", ONE)]
-    assert np.array_equal(read_mesh(written(tmp_path / "it.vtu", TET, blocks)).cells, ONE)
+    assert np.array_equal(read_mesh(write_mesh(tmp_path / "it.vtu", TET, blocks)).cells, ONE)
 
 
 def test_triangles_in_a_plane_off_zero_are_planar(tmp_path):
     points = np.array([[0.0, 0, 7], [1, 0, 7], [0, 1, 7]])
-    mesh = read_mesh(written(tmp_path / "it.vtu", points, [("triangle", [[0, 1, 2]])]))
+    mesh = read_mesh(write_mesh(tmp_path / "it.vtu", points, [("triangle", [[0, 1, 2]])]))
     assert mesh.dimension == 2 and mesh.points.tolist() == [[0, 0], [1, 0], [0, 1]]
 
 
@@ -155,14 +155,14 @@ HEXAHEDRON = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], 
     ids=["surface", "inverted", "one_of_two_inverted", "hexahedra", "quadratic", "lines"],
 )
 def test_a_mesh_file_that_cannot_be_simulated_is_refused_by_name(tmp_path, points, blocks, words):
-    path = written(tmp_path / "it.vtu", points, blocks)
+    path = write_mesh(tmp_path / "it.vtu", points, blocks)
     with pytest.raises(MeshError, match=words) as caught:
         read_mesh(path)
     assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["junk.vtu", "junk.vtk", "junk.msh", "junk.stl", "junk.xdmf", "junk.what", "none.vtu"])
-def test_a_file_that_is_no_mesh_is_one_line_and_the_library_prints_nothing(tmp_path, name, capfd):
+def test_a_file_that_is_no_mesh_gives_a_one_line_error_and_no_output(tmp_path, name, capfd):
     path = tmp_path / name
     if "junk" in name:
         path.write_text("this is no mesh\n")
