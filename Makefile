@@ -36,7 +36,7 @@ report: setup ## Every scene in full, from nothing -> outputs/reproduction.html 
 	for case in cases/*.toml; do $(BIN)/pipeline run $$case --quiet || exit 1; done
 
 bench: setup ## What a step costs beside plain scipy, in one run; minutes
-	$(BIN)/pipeline study scaling cases/bar_as_printed.toml cases/mushroom_as_printed.toml cases/armadillo_as_printed.toml \
+	$(BIN)/python -m benchmarks.scaling cases/bar_as_printed.toml cases/mushroom_as_printed.toml cases/armadillo_as_printed.toml \
 		--cells 2x8x2 8x26x8 18x52x18 --out outputs/bench
 
 test: setup browser lint ## Everything that CI runs: lint, then all tests

@@ -156,9 +156,9 @@ def _stability(options: argparse.Namespace) -> int:
             scheduler=options.scheduler,
             on_point=lambda _, done, total: bar.show_reading(case.name, done, total),
         )
-    print(*found.sentences(), sep="\n")
+    print(*found.list_sentences(), sep="\n")
     if not options.quiet:
-        print(*(f"  {path}" for path in found.made), sep="\n")
+        print(*(f"  {path}" for path in found.files), sep="\n")
     return 0
 
 
@@ -167,15 +167,14 @@ def _scaling_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cells", metavar="NXxNYxNZ", nargs="+", default=[],
                         help="boxes to try, such as 2x8x2 8x26x8; without them the case's own mesh")  # fmt: skip
     parser.add_argument("--method", dest="methods", metavar="NAME", action="append", default=[],
-                        help="only this; may be repeated: linear, one_solve, gram_schmidt, auto, converged, explicit; "
-                             "felupe, mujoco where they are installed")  # fmt: skip
+                        help="only this; may be repeated: linear, one_solve, gram_schmidt, auto, converged, "
+                             "explicit")  # fmt: skip
     parser.add_argument("--rtol", type=float, default=1e-6, metavar="R",
                         help="relative residual of the linear systems (1e-6)")  # fmt: skip
-    parser.add_argument("--no-baseline", action="store_true", help="without plain scipy, which takes most of the time")
 
 
 def _scaling(options: argparse.Namespace) -> int:
-    from pipeline.studies.scaling.study import study_scaling
+    from pipeline.studies.scaling.study import parse_cells, study_scaling
 
     if options.scheduler:
         raise CaseError("--scheduler: costs are measured on this machine, one process after the other; leave it out")
@@ -183,26 +182,19 @@ def _scaling(options: argparse.Namespace) -> int:
         found = study_scaling(
             [load_case(path) for path in options.cases],
             options.out,
-            cells=[_counts(text) for text in options.cells],
-            methods=options.methods,
+            cells=[parse_cells(text) for text in options.cells],
+            methods=options.methods or None,
             rtol=options.rtol,
-            baseline=not options.no_baseline,
             on_point=lambda done, total: bar.show_reading("scaling", done, total),
         )
-    print(*found.lines(), f"bandwidth {found.bandwidth:.1f} GB/s", *(f"  {path}" for path in found.made), sep="\n")
+    print(
+        *found.format_lines(), f"bandwidth {found.bandwidth:.1f} GB/s", *(f"  {path}" for path in found.files), sep="\n"
+    )
     return 0
 
 
-def _counts(text: str) -> list[int]:
-    """Return the cells along every axis of a text like 8x26x8; raises CaseError."""
-    try:
-        return [int(part) for part in text.split("x")]
-    except ValueError:
-        raise CaseError(f"--cells {quote_value(text)}: is not like 8x26x8") from None
-
-
 STUDIES: Mapping[str, Study] = {
-    "scaling": Study("how the cost of a step grows with the mesh, beside plain scipy", _scaling_arguments, _scaling),
+    "scaling": Study("how the cost of a step grows with the mesh, method by method", _scaling_arguments, _scaling),
     "stability": Study("what breaks at the extremes, method by method", _stability_arguments, _stability),
     "tradeoff": Study("which setting is enough: work against precision", _tradeoff_arguments, _tradeoff),
 }

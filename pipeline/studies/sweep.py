@@ -1,7 +1,7 @@
-"""Study points as tasks of dask.distributed, each result a file as it comes, so that a sweep resumes.
+"""Study points as tasks of dask.distributed, each result written as soon as it is there, so that a sweep can resume.
 
-One point is one task. A local cluster of processes, one thread each, unless an existing scheduler is named. A point
-whose worker is lost is computed again, at last alone; one that loses its worker always is an error of that point.
+One point is one task, on a local cluster of single-threaded processes unless an existing scheduler is named. A point
+whose worker dies is computed again, in the end alone; if its worker dies every time, that is an error of the point.
 Without the package `distributed` (the extra `study`) the points are computed one after the other in this process.
 """
 
@@ -31,17 +31,17 @@ Task = Callable[[Mapping[str, Any]], PointResult]
 
 log = logging.getLogger(__name__)
 _FILE_SAFE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}")
-# a second death on the same point, with others about, is reason enough to try it alone
+# after a second death of its worker, a point is tried alone: another point on that worker may be the cause
 _ALLOWED_FAILURES = 1
-# Ctrl-C reaches every process of the terminal; this one closes the others
+# Ctrl-C reaches every process of the terminal; this process closes the others
 _IGNORE_INTERRUPTS = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-_CONNECT_SECONDS = 10
-_CLOSE_SECONDS = 5
+_CONNECT_SECONDS = 10  # a scheduler on another continent answers in less
+_CLOSE_SECONDS = 5  # workers that do not end by then are killed
 
 
 @dataclass(frozen=True)
 class Point:
-    """One point of a study: a key that is unique and can name a file, and the settings of its task, plain JSON."""
+    """One point of a study: a unique key that can name a file, and the settings of its task as plain JSON."""
 
     key: str
     settings: Mapping[str, Any]
@@ -61,12 +61,12 @@ def run_sweep(
 ) -> dict[str, PointResult]:
     """Return the result of every point by its key, in the order of the points; each is in folder/points/<key>.json.
 
-    `task` takes the settings and returns what JSON can hold; it must be importable where the workers are. NaN and
-    infinities become None. What a task raises is its result, {"error": "SolveError: …"}, with "unexpected" where it is
-    no PipelineError or its worker was lost. A point that stands in the folder with equal settings, from this version of
-    the package and without "unexpected" is not computed again. `timed` points run one at a time. `on_result` gets each
-    point, how many are done and of how many. Raises PipelineError where the scheduler is not there or goes away,
-    CaseError where another sweep is at work in the folder, OutputError.
+    `task` takes the settings and returns JSON values; the workers must be able to import it. NaN and infinities become
+    None. An exception of a task becomes its result, {"error": "SolveError: …"}, with "unexpected" if it is no
+    PipelineError or the worker died. A point is not computed again if the folder has its result for equal settings,
+    from this version of the package and without "unexpected". `timed` points run one at a time. `on_result` gets each
+    point, the number of points done and their total. Raises PipelineError if the scheduler does not answer or goes
+    away, CaseError if another sweep is at work in the folder, OutputError if a result cannot be written.
     """
     _check_keys(points)
     with lock_folder(folder):
@@ -76,13 +76,11 @@ def run_sweep(
 def _complete_sweep(
     task: Task, points: Sequence[Point], folder: Path, scheduler: str | None, timed: bool, on_result: OnResult | None
 ) -> dict[str, PointResult]:
-    results = {point.key: found for point in points if (found := _read_result(point, folder)) is not None}
+    results = {point.key: result for point in points if (result := _read_result(point, folder)) is not None}
     missing = [point for point in points if point.key not in results]
-    told = 0
-    for point in points if on_result else ():
-        if point.key in results and on_result:
-            told += 1
-            on_result(point, told, len(points))
+    for count, point in enumerate((point for point in points if point.key in results), start=1):
+        if on_result:
+            on_result(point, count, len(points))
     for point, result in _compute_points(task, missing, scheduler, timed) if missing else ():
         results[point.key] = _write_result(point, result, folder)
         if on_result:
@@ -91,7 +89,7 @@ def _complete_sweep(
 
 
 def to_json(value: Any) -> Any:
-    """Return the value as JSON holds it: arrays as lists, NaN and infinities as None."""
+    """Return the value in the types of JSON: arrays as lists, NaN and infinities as None."""
     if isinstance(value, Mapping):
         return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -115,12 +113,12 @@ def _make_path(point: Point, folder: Path) -> Path:
 
 
 def _read_result(point: Point, folder: Path) -> PointResult | None:
-    """Return what an earlier sweep found of this very point; None where it has to be computed."""
+    """Return the point's result from an earlier sweep; None if it has to be computed."""
     try:
-        read = json.loads(_make_path(point, folder).read_text())
-        same = (read["settings"], read["version"]) == (to_json(point.settings), VERSION)
-        return dict(read["result"]) if same and "unexpected" not in read["result"] else None
-    except (OSError, ValueError, KeyError, TypeError):  # not there, or no file of ours
+        document = json.loads(_make_path(point, folder).read_text())
+        same = (document["settings"], document["version"]) == (to_json(point.settings), VERSION)
+        return dict(document["result"]) if same and "unexpected" not in document["result"] else None
+    except (OSError, ValueError, KeyError, TypeError):  # no such file, or no file of ours
         return None
 
 
@@ -133,20 +131,20 @@ def _write_result(point: Point, result: PointResult, folder: Path) -> PointResul
 def _compute_points(
     task: Task, points: Sequence[Point], scheduler: str | None, timed: bool
 ) -> Iterator[tuple[Point, PointResult]]:
-    """Yield each point with its result, as they come."""
+    """Yield each point with its result as soon as it is there."""
     if find_spec("distributed") is None:
         if scheduler is not None:
             raise PipelineError(
                 f"scheduler {scheduler}: needs dask.distributed: pip install 'corotational-pipeline[study]'"
             )
-        log.warning("no dask.distributed (pip install 'corotational-pipeline[study]'): one point after the other, here")
+        log.warning("no dask.distributed (pip install 'corotational-pipeline[study]'): points run one after the other")
         yield from ((point, run_task(task, point.settings)) for point in points)
         return
     with _open_client(scheduler, 1 if timed else len(points)) as client:
         lost = []
         for point, result in _run_points(client, task, points, 1 if timed else len(points)):
             if "lost" in result:
-                lost.append(point)  # or another point on that worker lost it: the second time each is alone
+                lost.append(point)  # perhaps by another point on that worker: the second time each runs alone
             else:
                 yield point, result
         for point, result in _run_points(client, task, lost, 1):
@@ -155,7 +153,7 @@ def _compute_points(
 
 @contextmanager
 def _open_client(scheduler: str | None, most: int) -> Iterator[Any]:
-    """Yield a client of the scheduler at that address, or of a cluster of at most that many processes here."""
+    """Yield a client of the scheduler at that address, or of a local cluster of at most `most` processes."""
     import dask
     from distributed import Client, LocalCluster
 
@@ -167,17 +165,16 @@ def _open_client(scheduler: str | None, most: int) -> Iterator[Any]:
         with client:
             yield client
         return
-    # a worker that is paused for its memory would never end; one that is killed for it does
-    asked = {"n_workers": min(most, dask.system.CPU_COUNT), "threads_per_worker": 1, "memory_limit": 0}
-    environment = make_thread_environment(1)
-    spoken = logging.getLogger("distributed")
-    level = spoken.level
-    spoken.setLevel(logging.CRITICAL)  # a worker that dies is told by its point
+    # without a memory limit: a worker paused for its memory would never end, one killed by the system does
+    options = {"n_workers": min(most, dask.system.CPU_COUNT), "threads_per_worker": 1, "memory_limit": 0}
+    dask_log = logging.getLogger("distributed")
+    level = dask_log.level
+    dask_log.setLevel(logging.CRITICAL)  # the death of a worker is the error of its point
     with dask.config.set({"distributed.scheduler.allowed-failures": _ALLOWED_FAILURES}):
         cluster = LocalCluster(
-            **asked,
+            **options,
             dashboard_address="127.0.0.1:0",
-            env=environment,
+            env=make_thread_environment(1),
             silence_logs=logging.CRITICAL,
             preload=[_IGNORE_INTERRUPTS],
         )
@@ -186,17 +183,17 @@ def _open_client(scheduler: str | None, most: int) -> Iterator[Any]:
                 yield client
         finally:
             cluster.close(timeout=_CLOSE_SECONDS)
-            spoken.setLevel(level)
+            dask_log.setLevel(level)
 
 
 def _run_points(client: Any, task: Task, points: Sequence[Point], most: int) -> Iterator[tuple[Point, PointResult]]:
-    """Yield each point with its result, at most so many of them at work; "lost" in it: its worker died."""
+    """Yield each point with its result, at most `most` at work at a time; "lost" in a result: the worker died."""
     from distributed import KilledWorker, as_completed
 
     waiting = iter(points)
     point_of = {}
 
-    def submitted(count: int) -> list[Any]:
+    def submit(count: int) -> list[Any]:
         futures = []
         for point in islice(waiting, count):
             future = client.submit(run_task, task, dict(point.settings), pure=False)
@@ -204,30 +201,30 @@ def _run_points(client: Any, task: Task, points: Sequence[Point], most: int) -> 
             futures.append(future)
         return futures
 
-    running = as_completed(submitted(most), loop=client.loop)
+    running = as_completed(submit(most), loop=client.loop)
     for future in running:
         point = point_of[future.key]
         if future.status == "cancelled":
-            raise PipelineError("the scheduler went away; the points done so far stand, the same command goes on")
+            raise PipelineError("the scheduler went away; finished points are kept, the same command resumes")
         error = future.exception()
         if error is None:
             yield point, future.result()
         elif isinstance(error, KilledWorker):
-            text = "KilledWorker: the process that computed this point died, each time it was tried"
+            text = "KilledWorker: the process that computed this point died every time"
             yield point, {"error": text, "unexpected": True, "lost": True}
         else:
             yield point, {"error": f"{type(error).__name__}: {error}", "unexpected": True}
         future.release()
-        running.update(submitted(1))
+        running.update(submit(1))
 
 
 def run_task(task: Task, settings: Mapping[str, Any]) -> PointResult:
-    """Return what the task returns, on one thread; an error as {"error": text}, "unexpected" if it is none of ours."""
+    """Return the task's result, on one thread, or its error as {"error": text}, "unexpected" if it is none of ours."""
     try:
         with threadpool_limits(limits=1):
             return task(settings)
     except PipelineError as error:
         return {"error": f"{type(error).__name__}: {error}"}
-    except Exception as error:  # a sweep goes on; what happened stands in the point's file
+    except Exception as error:  # the sweep goes on; the error is in the point's file
         log.debug("a study point failed", exc_info=True)
         return {"error": f"{type(error).__name__}: {error}", "unexpected": True}

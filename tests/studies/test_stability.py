@@ -61,15 +61,15 @@ def settings(folder: Path, name: str, value: float, method: str, **sections: obj
     case = load_case(write_case(folder, **sections))
     mesh = PLATE if "mesh" in sections else box((1.0, 3.0, 1.0), (1, 3, 1))
     return make_trial_settings(
-        ExtremeScene.of(case, mesh), name, value, method, steps=sections.pop("steps", 4), tolerance=0.05
+        ExtremeScene.from_mesh(case, mesh), name, value, method, steps=sections.pop("steps", 4), tolerance=0.05
     )
 
 
 def check(result: dict) -> None:
     """Nothing is missing, and every number is one."""
-    assert set(result) == {*trial.NOTHING, "outcome"}
+    assert set(result) == {*trial.NO_RUN, "outcome"}
     assert json.dumps(result, allow_nan=False)
-    assert all(np.isfinite(result[key]) for key in trial.NOTHING if key != "message")
+    assert all(np.isfinite(result[key]) for key in trial.NO_RUN if key != "message")
 
 
 @pytest.mark.parametrize(
@@ -102,8 +102,8 @@ def test_a_trial_ends_as_its_method_does(tmp_path, name, value, method, wanted):
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_at_the_extremes_of_every_slice_is_told_in_numbers_in_the_plane_too(tmp_path, name, method):
     case = load_case(write_case(tmp_path, **PLANAR))
-    scene = ExtremeScene.of(case, PLATE)
-    values = SLICES[name].values(scene)
+    scene = ExtremeScene.from_mesh(case, PLATE)
+    values = SLICES[name].list_values(scene)
     for value in (values[0], values[-1]):
         result = trial.run_trial(make_trial_settings(scene, name, value, method, steps=2, tolerance=0.05))
         check(result)
@@ -134,7 +134,7 @@ def test_where_the_reference_fails_a_run_is_not_judged(tmp_path):
 
 
 def test_right_volumes_in_wrong_places_are_a_wrong_motion():
-    course = trial.Course(BAR, held=True, x=[BAR.points], energy_growth=1.0)
+    course = trial.Course(BAR, is_held=True, x=[BAR.points], energy_growth=1.0)
     for errors, growth, wanted in [
         ({"volume_error": 0.04, "node_distance": 0.04}, 1.0, "survives"),
         ({"volume_error": 0.04, "node_distance": 0.06}, 1.0, "wrong_motion"),
@@ -167,7 +167,7 @@ def serial(monkeypatch) -> None:
 @pytest.fixture
 def small(monkeypatch) -> None:
     methods = {m: METHODS[m] for m in ("linear backward_euler", "auto bdf2", "polar symplectic_euler")}
-    for module in ("study", "figure"):
+    for module in ("study", "figure", "results"):
         monkeypatch.setattr(f"pipeline.studies.stability.{module}.METHODS", methods)
 
 
@@ -194,9 +194,9 @@ def test_a_study_is_a_conventional_dataset_a_picture_and_lines(tmp_path, serial,
         assert dataset.outcome_dt.sel(dt=1e-6).values.tolist() == [0, 0, 0]
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["trials"] == 57 == sum(summary["outcomes"].values())
-    assert summary["sentences"] == study.sentences()
-    assert study.sentences()[0] == "refused by every method: poisson_ratio -1, poisson_ratio 0.5"
-    assert study.sentences()[3].endswith("refused at dt 0.01 0.1 1 10")
+    assert summary["sentences"] == study.list_sentences()
+    assert study.list_sentences()[0] == "refused by every method: poisson_ratio -1, poisson_ratio 0.5"
+    assert study.list_sentences()[3].endswith("refused at dt 0.01 0.1 1 10")
     assert any("is above the limit of symplectic_euler" in message for message in summary["messages"])
 
 
@@ -204,9 +204,9 @@ def test_the_picture_has_a_field_of_its_colour_for_every_trial(tmp_path, serial,
     from PIL import Image
 
     study = stability.study_stability(load_case(write_case(tmp_path)), tmp_path, slices=("dt",), steps=2)
-    pixels = np.asarray(Image.open(study.made[1]).convert("RGB")).reshape(-1, 3)
+    pixels = np.asarray(Image.open(study.files[1]).convert("RGB")).reshape(-1, 3)
     for outcome, colour in (("survives", (0xB7, 0xE3, 0xD0)), ("refused", (0xF4, 0xF5, 0xF7))):
-        fields = sum(row.count(outcome) for row in study.outcomes("dt"))
+        fields = sum(row.count(outcome) for row in study.list_outcomes("dt"))
         assert fields > 0 and (pixels == colour).all(axis=1).sum() > 300 * fields
 
 

@@ -1,74 +1,61 @@
-"""The picture of a stability study: a panel a slice, methods by values, colour the outcome, number the worst J."""
+"""The picture of a stability study: a panel for each slice, methods by values, in color the outcome, the worst J."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.formats.atomic import replace_file
+from pipeline.studies.stability.results import Stability
 from pipeline.studies.stability.slices import METHODS, SLICES
 from pipeline.studies.stability.trial import OUTCOMES, REFUSED
+from pipeline.views.figures import make_panels, open_figure
+from pipeline.views.palette import INK, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from pipeline.studies.stability.study import Stability
-
-# told apart in grey by lightness too; the last two are what a user has to look at
-_COLOURS = ("#b7e3d0", "#fff2b3", "#f2b37a", "#d9dce3", "#9dc3e6", "#f4f5f7", "#d1495b")
+# they differ in lightness too, for gray printing; the last one calls for attention
+_COLORS = ("#b7e3d0", "#fff2b3", "#f2b37a", "#d9dce3", "#9dc3e6", "#f4f5f7", "#d1495b")
 _COLUMNS = 2
 
 
-def write_stability_figure(study: "Stability", path: Path) -> None:
-    """Write the heat maps of a study as PNG; raises OutputError where it cannot."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def write_stability_figure(study: Stability, path: Path) -> None:
+    """Write the heat maps of a study as PNG; raises OutputError if the file cannot be written."""
     from matplotlib.patches import Patch
-
-    from pipeline.views.figures import STYLE
 
     columns = min(_COLUMNS, len(study.values))
     rows = -(-len(study.values) // columns)
-    with rc_context(STYLE):
-        figure = Figure(figsize=(1.6 + 6.2 * columns, 1.4 + 3.9 * rows), dpi=100)
-        FigureCanvasAgg(figure)
-        figure.set_layout_engine("constrained")
-        figure.suptitle(f"{study.name}: what breaks at the extremes", fontsize=14, fontweight="bold")
-        grid = figure.subplots(rows, columns, squeeze=False)
-        for axes in grid.ravel()[len(study.values) :]:
-            axes.set_visible(False)
+    title = f"{study.name}: what breaks at the extremes"
+    with open_figure(path, (1.6 + 6.2 * columns, 1.4 + 3.9 * rows), dpi=100, title=title) as figure:
+        panels = make_panels(figure, len(study.values), columns)
         for place, name in enumerate(study.values):
-            _draw(grid.ravel()[place], study, name, labels=place % columns == 0)
-        seen = {outcome for name in study.values for row in study.outcomes(name) for outcome in row}
+            _draw_slice(panels[place], study, name, labels=place % columns == 0)
+        seen = {outcome for name in study.values for row in study.list_outcomes(name) for outcome in row}
         handles = [
-            Patch(facecolor=colour, edgecolor="#626875", linewidth=0.5, label=outcome.replace("_", " "))
-            for outcome, colour in zip(OUTCOMES, _COLOURS, strict=True)
+            Patch(facecolor=color, edgecolor=SOFT, linewidth=0.5, label=outcome.replace("_", " "))
+            for outcome, color in zip(OUTCOMES, _COLORS, strict=True)
             if outcome in seen
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-        with replace_file(path) as temporary:
-            # no version in the file: the same results are the same bytes
-            figure.savefig(temporary, metadata={"Software": None})
 
 
-def _draw(axes: "Axes", study: "Stability", name: str, *, labels: bool) -> None:
+def _draw_slice(axes: "Axes", study: Stability, name: str, *, labels: bool) -> None:
     """Draw one slice; the number in a field is the volume ratio farthest from 1."""
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
-    outcomes, values = study.outcomes(name), study.values[name]
+    outcomes, values = study.list_outcomes(name), study.values[name]
     codes = np.array([[list(OUTCOMES).index(outcome) for outcome in row] for row in outcomes])
     norm = BoundaryNorm(np.arange(len(OUTCOMES) + 1) - 0.5, len(OUTCOMES))
-    axes.imshow(codes, cmap=ListedColormap(_COLOURS), norm=norm, aspect="auto", interpolation="nearest")
+    axes.imshow(codes, cmap=ListedColormap(_COLORS), norm=norm, aspect="auto", interpolation="nearest")
     for row, method in enumerate(METHODS):
         for column in range(len(values)):
             result = study.results[name, column, method]
             if result["outcome"] != REFUSED:
                 text = _format_short(float(result["worst_volume_ratio"]))
-                axes.text(column, row, text, ha="center", va="center", fontsize=6, color="#1b1e28")
-    one = SLICES[name]
-    unit = "" if one.units == "1" else f" [{one.units}]"
-    axes.set_title(f"{one.long_name}{unit}", loc="left", fontsize=9)
+                axes.text(column, row, text, ha="center", va="center", fontsize=6, color=INK)
+    units = SLICES[name].units
+    suffix = "" if units == "1" else f" [{units}]"
+    axes.set_title(f"{SLICES[name].long_name}{suffix}", loc="left", fontsize=9)
     axes.set_xticks(range(len(values)), [f"{value:g}" for value in values], fontsize=7)
     axes.set_yticks(range(len(METHODS)), list(METHODS) if labels else [""] * len(METHODS), fontsize=7)
     axes.set_xticks(np.arange(len(values) + 1) - 0.5, minor=True)

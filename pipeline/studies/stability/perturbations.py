@@ -1,4 +1,4 @@
-"""Nodes moved on purpose: apexes towards or through the bases of their cells, and every node by chance."""
+"""Displacements of nodes at the start: apexes toward or through the bases of their cells, and every node at random."""
 
 import numpy as np
 
@@ -6,31 +6,29 @@ from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
 from pipeline.mesh.simplex import Mesh, signed_volumes
 
-# apexes moved at once: some of every kind of place, and few enough that the rest of the body is as it was
-_MOST = 8
-# of a cell's volume: what rounding may make of a neighbour that ends as flat as the chosen cell
-_FLAT = -1e-9
+_MOST_APEXES = 8  # enough for every kind of place, and few enough to leave the rest of the body as it was
+_FLAT = -1e-9  # of a cell's volume: rounding of a neighbor that ends as flat as the chosen cell
 
 
 def scramble_nodes(mesh: Mesh, free: Ints, reach: float, *, seed: int) -> Floats:
     """Return the points (n, d) with every free node moved along every axis by up to +-reach [m]."""
-    away = np.random.default_rng(seed).uniform(-reach, reach, mesh.points.shape)
+    offsets = np.random.default_rng(seed).uniform(-reach, reach, mesh.points.shape)
     x = mesh.points.copy()
-    x[free] += away[free]
+    x[free] += offsets[free]
     return x
 
 
 def move_apexes(mesh: Mesh, free: Ints, part: float, *, seed: int) -> Floats:
-    """Return the points (n, d), some free nodes moved by a part of the way to the middle of a cell's base.
+    """Return the points (n, d) with some free nodes moved by a part of the way to the center of a cell's base.
 
-    At part = 1 - h the cell's height is h of what it was, and no other cell is flatter; beyond 1 the cell is
-    inverted. At most eight nodes, chosen by chance, none of which share a cell. Raises MeshError where there is none.
+    At part = 1 - h the cell's height is h of its height before, and no other cell is flatter; beyond 1 the cell is
+    inverted. At most eight random nodes are moved, no two in one cell. Raises MeshError if no node can be.
     """
-    x, order = mesh.points.copy(), np.random.default_rng(seed)
+    x, generator = mesh.points.copy(), np.random.default_rng(seed)
     taken: set[int] = set()
     moved = 0
     cells_of = _list_cells_of_nodes(mesh)
-    for node in order.permutation(free):
+    for node in generator.permutation(free):
         star = cells_of[node]
         if taken.intersection(mesh.cells[star].ravel().tolist()):
             continue
@@ -40,7 +38,7 @@ def move_apexes(mesh: Mesh, free: Ints, part: float, *, seed: int) -> Floats:
         x[node] += part * (target - x[node])
         taken.add(int(node))
         moved += 1
-        if moved == _MOST:
+        if moved == _MOST_APEXES:
             break
     if not moved:
         raise MeshError(f"{mesh.name}: no free node can be moved to a base of its cells without inverting others")
@@ -54,7 +52,7 @@ def _list_cells_of_nodes(mesh: Mesh) -> list[Ints]:
 
 
 def _find_base_center(mesh: Mesh, node: int, star: Ints) -> Floats | None:
-    """Return the middle of a base opposite to the node, at which no cell of its star is inverted."""
+    """Return the center of a base opposite to the node at which no cell of its star is inverted; None if none is."""
     cells = mesh.cells[star]
     for cell in cells:
         target = mesh.points[cell[cell != node]].mean(axis=0)

@@ -1,4 +1,4 @@
-"""The slices of the stability study: what is taken to its extremes, how far, and how a case is changed for it."""
+"""The slices of the stability study: the quantities taken to extremes, their values, and the changes of a case."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -7,10 +7,9 @@ from typing import Any
 
 from pipeline.case import Case
 from pipeline.mesh.simplex import Mesh
-from pipeline.problem.methods import IMPLICIT_STEPPERS
+from pipeline.problem.methods import IMPLICIT_STEPPERS, STEP_LIMITS
 
 Settings = dict[str, Any]
-EXPLICIT = "symplectic_euler"
 _KINDS: Mapping[str, Settings] = {
     "linear": {"law": "linear"},
     "polar": {},
@@ -19,26 +18,26 @@ _KINDS: Mapping[str, Settings] = {
     "converged": {"iterations": "converged"},
     "auto": {"model": "auto"},
 }
-# every method by its name; an explicit step solves nothing, so that passes mean nothing to it
+# every method by its name; an explicit step solves nothing, so it has no iterations
 METHODS: Mapping[str, Settings] = {
     f"{kind} {stepper}": {**changes, "stepper": stepper}
     for stepper in IMPLICIT_STEPPERS
     for kind, changes in _KINDS.items()
 } | {
-    f"{kind} {EXPLICIT}": {**_KINDS[kind], "stepper": EXPLICIT, "mass": "lumped"}
+    f"{kind} {stepper}": {**_KINDS[kind], "stepper": stepper, "mass": "lumped"}
+    for stepper in STEP_LIMITS
     for kind in ("linear", "polar", "gram_schmidt")
 }
-# of an explicit method's limit, where the step is not what is studied
-LIMIT_SHARE = 0.5
-# an explicit step is short: this many times the steps of an implicit run
-EXPLICIT_STEPS = 5
-# of the speed of sound over the body's size: stretches a body in spin by about a hundredth (.4^2 / 8)
-_SPIN_SPEED = 0.4
+_LIMIT_SHARE = 0.5  # an explicit step over its limit, unless the step is the quantity studied
+_EXPLICIT_STEPS = 5  # times the steps of an implicit run, as explicit ones are short
+_SPIN_SPEED = 0.4  # of the speed of sound over the body's size: a spin then stretches it by about 1 % (.4^2 / 8)
+# keys of the case's method that hold for every method of the study
+_COMMON_KEYS = ("linear_solver", "linear_rtol", "volume_tolerance", "tolerance", "max_iterations", "tangent", "mass")
 
 
 @dataclass(frozen=True)
 class ExtremeScene:
-    """A case and the numbers of its body that extremes are measured by: dimension, size [m], speed of sound [m/s]."""
+    """A case and the numbers of its body that scale the extremes: dimension, size [m], speed of sound [m/s]."""
 
     case: Case
     dimension: int
@@ -46,7 +45,7 @@ class ExtremeScene:
     sound: float
 
     @classmethod
-    def of(cls, case: Case, mesh: Mesh) -> "ExtremeScene":
+    def from_mesh(cls, case: Case, mesh: Mesh) -> "ExtremeScene":
         """Return the scene of a case with that mesh."""
         m = case.material
         return cls(case, mesh.dimension, mesh.size, (m.youngs_modulus / m.density) ** 0.5)
@@ -56,18 +55,19 @@ class ExtremeScene:
 class Slice:
     """One quantity taken to its extremes: the values, and the settings of a trial at one of them.
 
-    `judged` says against what: "converged", the converged solution of the same steps, or "rest", the rest shape.
+    A trial is compared with the `reference`: "converged", the converged solution of the same steps, or "rest", the
+    rest shape.
     """
 
     units: str
     long_name: str
-    values: Callable[[ExtremeScene], tuple[float, ...]]
-    settings: Callable[[ExtremeScene, float], Settings]
-    judged: str = "converged"
+    list_values: Callable[[ExtremeScene], tuple[float, ...]]
+    make_settings: Callable[[ExtremeScene, float], Settings]
+    reference: str = "converged"
 
 
 def _make_spin(scene: ExtremeScene, angle: float) -> Settings:
-    """Return a free body that turns by the angle [rad] in a step, about an axis of no symmetry."""
+    """Return the settings of a free body that turns by the angle [rad] in a step, about an axis without symmetry."""
     rate = _SPIN_SPEED * scene.sound / scene.size
     axis = [0.0, 0.0, 1.0] if scene.dimension == 2 else [1.0, 0.3, 0.2]
     spin = {"axis": axis, "rate": degrees(rate)}
@@ -78,9 +78,10 @@ def _make_spin(scene: ExtremeScene, angle: float) -> Settings:
 
 
 def _make_unloaded(scene: ExtremeScene, **disturbance: float) -> Settings:
-    """Return a body without loads or motion, so that its rest shape is where it belongs, disturbed."""
-    held = [{k: v for k, v in support.items() if k != "motion"} for support in scene.case.as_dict().get("supports", ())]
-    return {"changes": {"supports": held, "loads": {}, "initial": {}}, **disturbance}
+    """Return the settings of a disturbed body without loads or motion, which should return to its rest shape."""
+    supports = scene.case.as_dict().get("supports", ())
+    fixed = [{key: value for key, value in support.items() if key != "motion"} for support in supports]
+    return {"changes": {"supports": fixed, "loads": {}, "initial": {}}, **disturbance}
 
 
 def _make_decades(middle: float) -> tuple[float, ...]:
@@ -96,7 +97,7 @@ SLICES: Mapping[str, Slice] = {
     ),
     "spin": Slice(
         "rad",
-        "angle that a free body turns by in a step",
+        "rotation of a free body in a step",
         lambda scene: (0.01, 0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0, 50.0),
         _make_spin,
     ),
@@ -120,13 +121,13 @@ SLICES: Mapping[str, Slice] = {
     ),
     "sliver": Slice(
         "1",
-        "height of some cells over what it was",
+        "height of some cells over their height before",
         lambda scene: (1e-3, 1e-2, 0.1, 0.5, 1.0),
         lambda scene, height: {"changes": {}, "sliver": height},
     ),
     "scramble": Slice(
         "1",
-        "way of every node along every axis, at most, over the size of the body",
+        "largest displacement of every node along every axis, over the size of the body",
         lambda scene: (0.01, 0.03, 0.1, 0.226, 0.5, 1.0),  # 0.226 is 3 m in the thesis' bar
         lambda scene, reach: _make_unloaded(scene, scramble=reach * scene.size),
         "rest",
@@ -144,26 +145,25 @@ SLICES: Mapping[str, Slice] = {
 def make_trial_settings(
     scene: ExtremeScene, name: str, value: float, method: str, *, steps: int, tolerance: float
 ) -> Settings:
-    """Return all that the trial of one method at one value of a slice depends on, as plain JSON."""
-    case, one = scene.case, SLICES[name]
+    """Return the settings that the trial of one method at one value of a slice depends on, as plain JSON."""
+    case = scene.case
     document = case.as_dict()
-    kept = ("linear_solver", "linear_rtol", "volume_tolerance", "tolerance", "max_iterations", "tangent", "mass")
-    settings = one.settings(scene, value)
-    explicit = METHODS[method]["stepper"] == EXPLICIT
+    settings = SLICES[name].make_settings(scene, value)
+    is_explicit = METHODS[method]["stepper"] in STEP_LIMITS
     return {
         "case": str(case.path.resolve()),
         "scene": {
             key: document[key] for key in ("mesh", "material", "supports", "loads", "initial") if key in document
         },
         "changes": {
-            "method": {key: document["method"][key] for key in kept},
-            "schedule": {"dt": case.schedule.dt, "frames": steps * (EXPLICIT_STEPS if explicit else 1)},
+            "method": {key: document["method"][key] for key in _COMMON_KEYS},
+            "schedule": {"dt": case.schedule.dt, "frames": steps * (_EXPLICIT_STEPS if is_explicit else 1)},
             **settings.pop("changes"),
         },
         "method": METHODS[method],
-        "limit_share": LIMIT_SHARE if explicit and not settings.pop("own_step", False) else None,
+        "limit_share": _LIMIT_SHARE if is_explicit and not settings.pop("own_step", False) else None,
         "disturbance": {key: amount for key, amount in settings.items() if key != "own_step"},
-        "judged": one.judged,
+        "reference": SLICES[name].reference,
         "tolerance": tolerance,
         "seed": 0,
     }

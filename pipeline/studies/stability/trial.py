@@ -1,4 +1,4 @@
-"""One method at one extreme: what became of it. A pure function from plain settings to plain numbers."""
+"""One method at one extreme and its outcome: a pure function from plain settings to plain numbers."""
 
 import json
 from collections.abc import Mapping
@@ -12,30 +12,28 @@ from pipeline.arrays import Floats
 from pipeline.case import Case, load_case
 from pipeline.errors import CaseError, MeshError, SolveError
 from pipeline.mesh.simplex import Mesh, signed_volumes
+from pipeline.problem.methods import STEP_LIMITS
 from pipeline.problem.problem import Problem, build
 from pipeline.run.frame import Frame
 from pipeline.run.frames import frames
 from pipeline.stepping.energy_guard import natural_energy, work_of_supports
 from pipeline.stepping.state import State
-from pipeline.stepping.symplectic_euler import element_limit
 from pipeline.studies.stability.perturbations import move_apexes, scramble_nodes
-from pipeline.studies.stability.slices import EXPLICIT
 
 OUTCOMES: Mapping[str, str] = {
     "survives": "finite, energy bounded, volumes and positions within the tolerance",
     "wrong_motion": "volumes within the tolerance, positions or energy not",
     "wrong_volume": "finite, but volumes are not within the tolerance",
-    "not_judged": "finite, but the converged run that it is judged by failed",
+    "not_judged": "finite, but the converged reference run failed",
     "solve_error": "stopped by an error that names the step",
     "refused": "an error before the first step",
-    "unexpected_error": "neither: a fault of the program",
+    "unexpected_error": "any other error: a fault of the program",
 }
 SURVIVES, WRONG_MOTION, WRONG_VOLUME, NOT_JUDGED, SOLVE_ERROR, REFUSED, UNEXPECTED = OUTCOMES
-# of energy over what start, loads and supports brought: as the energy guard has it
-_BOUNDED = 10.0
-# the same reference judges every method at a value: a worker that gets some of them makes it once
-_REFERENCES_KEPT = 8
-NOTHING: Mapping[str, Any] = {
+_MOST_GROWTH = 10.0  # energy over that of start, loads and supports: the limit of the energy guard
+# all methods at a value have the same reference, which a worker runs once for its share of them
+_CACHED_REFERENCES = 8
+NO_RUN: Mapping[str, Any] = {
     "steps": 0, "iterations": 0, "worst_volume_ratio": 1.0, "energy_growth": 1.0, "volume_error": 0.0,
     "node_distance": 0.0, "message": "",
 }  # fmt: skip
@@ -43,46 +41,49 @@ NOTHING: Mapping[str, Any] = {
 
 @dataclass
 class Course:
-    """How a run went: the positions x (n, d) [m] at its start and after every step, and why it ended early, if so."""
+    """The course of a run: positions x (n, d) [m] at its start and after every step, and the error that ended it."""
 
     mesh: Mesh
-    held: bool
+    is_held: bool
     x: list[Floats] = field(default_factory=list)
     iterations: int = 0
     energy_growth: float = 0.0
     message: str = ""
 
-    def volume_ratios(self, step: int) -> Floats:
+    def compute_ratios(self, step: int) -> Floats:
         """Return J of every cell (e,) after a step."""
         return signed_volumes(self.x[step], self.mesh.cells) / self.mesh.rest_volumes
 
-    def worst_volume_ratio(self) -> float:
-        """Return the J that was farthest from 1 at any time."""
-        extremes = np.array([(J.min(), J.max()) for J in map(self.volume_ratios, range(len(self.x)))]).ravel()
+    def find_worst_ratio(self) -> float:
+        """Return the J of any cell and step that is farthest from 1."""
+        extremes = np.array([(J.min(), J.max()) for J in map(self.compute_ratios, range(len(self.x)))]).ravel()
         return float(extremes[np.abs(extremes - 1).argmax()])
 
 
 def run_trial(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the outcome of a method at an extreme, and the numbers that it was judged by; all are finite.
+    """Return the outcome of a method at an extreme and the numbers behind it, all of them finite.
 
-    outcome             one of OUTCOMES, the last of which is not told here; an error with its message
-    worst_volume_ratio  the J farthest from 1, of the steps that were made; energy_growth the largest kinetic + elastic
-                        energy over what start, loads and supports brought
-    volume_error        the largest |J - J_reference|, node_distance the largest |x - x_reference| over the size
+    outcome             one of OUTCOMES but the last, which only the sweep can find; an error has its message
+    worst_volume_ratio  the J farthest from 1 after any step
+    energy_growth       the largest kinetic + elastic energy over that supplied by start, loads and supports
+    volume_error        the largest |J - J_reference|
+    node_distance       the largest |x - x_reference| over the body's size
     """
     try:
         course = _run_problem(_build_trial(settings, settings["method"]))
     except (CaseError, MeshError) as error:
-        return {**NOTHING, "outcome": REFUSED, "message": str(error).removeprefix(f"{settings['case']}: ")}
-    found = {
+        return {**NO_RUN, "outcome": REFUSED, "message": str(error).removeprefix(f"{settings['case']}: ")}
+    numbers = {
         "steps": len(course.x) - 1 if course.x else 0,
         "iterations": course.iterations,
-        "worst_volume_ratio": course.worst_volume_ratio() if course.x else 1.0,
+        "worst_volume_ratio": course.find_worst_ratio() if course.x else 1.0,
         "energy_growth": course.energy_growth,
         "message": course.message,
     }
-    errors = _compare_with_rest(course) if settings["judged"] == "rest" else _compare_with_reference(course, settings)
-    return {**NOTHING, **found, **errors, "outcome": _judge_outcome(course, errors, settings["tolerance"])}
+    errors = (
+        _compare_with_rest(course) if settings["reference"] == "rest" else _compare_with_reference(course, settings)
+    )
+    return {**NO_RUN, **numbers, **errors, "outcome": _judge_outcome(course, errors, settings["tolerance"])}
 
 
 def _judge_outcome(course: Course, errors: Mapping[str, float], tolerance: float) -> str:
@@ -92,28 +93,29 @@ def _judge_outcome(course: Course, errors: Mapping[str, float], tolerance: float
         return NOT_JUDGED
     if errors["volume_error"] > tolerance:
         return WRONG_VOLUME
-    return SURVIVES if errors["node_distance"] <= tolerance and course.energy_growth <= _BOUNDED else WRONG_MOTION
+    return SURVIVES if errors["node_distance"] <= tolerance and course.energy_growth <= _MOST_GROWTH else WRONG_MOTION
 
 
 def _make_case(settings: Mapping[str, Any], changes: Mapping[str, Any]) -> Case:
-    """Return the case with one variant, the changed one."""
+    """Return the case with the changes as its only variant."""
     overrides = {**settings["scene"], "movie": {}, "variants": {"trial": {**settings["changes"], **changes}}}
     return load_case(settings["case"], overrides=overrides).variant("trial")
 
 
 def _build_trial(settings: Mapping[str, Any], method: Mapping[str, Any]) -> Problem:
-    """Return the problem of a trial, solved by that method; raises CaseError or MeshError where it is refused."""
+    """Return the problem of a trial, solved by that method; raises CaseError or MeshError if refused."""
     changes = {f"method.{key}": value for key, value in method.items()}
     disturbance, seed = settings["disturbance"], settings["seed"]
     mesh = None
     if settings["limit_share"] is not None or "sliver" in disturbance:
-        # by a stepper that no step is too long for
+        # a stepper for which no step is too long
         plain = build(_make_case(settings, changes | {"method.stepper": "backward_euler", "method.law": "linear"}))
         if "sliver" in disturbance:
             rest, free = plain.body.mesh, plain.body.free
             mesh = replace(rest, points=move_apexes(rest, free, 1 - disturbance["sliver"], seed=seed))
         if settings["limit_share"] is not None:
-            limit = element_limit(replace(plain.body, mesh=mesh or plain.body.mesh))
+            bound, _ = STEP_LIMITS[settings["method"]["stepper"]]  # of the trial, also for its reference
+            limit = bound(replace(plain.body, mesh=mesh or plain.body.mesh))
             changes["schedule.dt"] = settings["limit_share"] * limit
     problem = build(_make_case(settings, changes), mesh=mesh)
     rest, free, start = problem.body.mesh, problem.body.free, problem.start
@@ -127,16 +129,16 @@ def _build_trial(settings: Mapping[str, Any], method: Mapping[str, Any]) -> Prob
 
 
 def _run_problem(problem: Problem) -> Course:
-    """Return how the problem's run went, a SolveError kept as its message."""
+    """Return the course of a problem's run; a SolveError becomes its message."""
     body = problem.body
-    course = Course(body.mesh, held=bool(body.supports.nodes.size))
-    brought, before = 0.0, None
+    course = Course(body.mesh, is_held=bool(body.supports.nodes.size))
+    supplied, before = 0.0, None
     try:
         for frame in frames(problem):
             energy = float(frame.known["kinetic_energy"] + frame.known["elastic_energy"])
             from_loads = abs(float(frame.known["potential_energy"]))
-            brought += energy + from_loads if before is None else _measure_supports_work(problem, before, frame)
-            growth = energy / max(brought + from_loads, natural_energy(body))
+            supplied += energy + from_loads if before is None else _measure_supports_work(problem, before, frame)
+            growth = energy / max(supplied + from_loads, natural_energy(body))
             course.energy_growth = max(course.energy_growth, growth)
             course.iterations += frame.work.iterations if frame.work else 0
             course.x.append(frame.x)
@@ -151,38 +153,38 @@ def _measure_supports_work(problem: Problem, before: Frame, after: Frame) -> flo
     return work_of_supports(problem.body, before.state, after.state, problem.dt)
 
 
-@lru_cache(maxsize=_REFERENCES_KEPT)
+@lru_cache(maxsize=_CACHED_REFERENCES)
 def _run_reference(text: str) -> Course:
-    """Return the converged run that the trial with these settings, as JSON, is judged by."""
+    """Return the converged reference run of the trial with these settings, as JSON; bdf2 for an explicit method."""
     settings = json.loads(text)
-    explicit = settings["method"]["stepper"] == EXPLICIT
+    is_explicit = settings["method"]["stepper"] in STEP_LIMITS
     converged = {
         key: value for key, value in settings["method"].items() if key in ("stepper", "mass")
     } | {"law": "corotational", "rotation": "polar", "iterations": "converged"}  # fmt: skip
-    return _run_problem(_build_trial(settings, converged | ({"stepper": "bdf2"} if explicit else {})))
+    return _run_problem(_build_trial(settings, converged | ({"stepper": "bdf2"} if is_explicit else {})))
 
 
 def _compare_with_reference(course: Course, settings: Mapping[str, Any]) -> dict[str, float]:
-    """Return the errors against the converged run of the same steps; {} where that failed before this run's end."""
+    """Return the errors against the converged run of the same steps; {} if that failed before the end of this one."""
     stepper = {key: settings["method"][key] for key in ("stepper", "mass") if key in settings["method"]}
     reference = _run_reference(json.dumps({**settings, "method": stepper}, sort_keys=True))
     if len(reference.x) < len(course.x):
         return {}
     steps = range(len(course.x))
-    J = [np.abs(course.volume_ratios(i) - reference.volume_ratios(i)).max() for i in steps]
-    away = [np.linalg.norm(course.x[i] - reference.x[i], axis=1).max() for i in steps]
+    volume_errors = [np.abs(course.compute_ratios(i) - reference.compute_ratios(i)).max() for i in steps]
+    distances = [np.linalg.norm(course.x[i] - reference.x[i], axis=1).max() for i in steps]
     return {
-        "volume_error": float(max(J, default=0.0)),
-        "node_distance": float(max(away, default=0.0)) / course.mesh.size,
+        "volume_error": float(max(volume_errors, default=0.0)),
+        "node_distance": float(max(distances, default=0.0)) / course.mesh.size,
     }
 
 
 def _compare_with_rest(course: Course) -> dict[str, float]:
-    """Return the errors of the run's end against the rest shape; where nothing is held, that of the volumes alone."""
+    """Return the errors of the run's end against the rest shape; of a free body those of the volumes alone."""
     if not course.x:
         return {"volume_error": 0.0, "node_distance": 0.0}
-    away = np.linalg.norm(course.x[-1] - course.mesh.points, axis=1).max() if course.held else 0.0
+    distance = np.linalg.norm(course.x[-1] - course.mesh.points, axis=1).max() if course.is_held else 0.0
     return {
-        "volume_error": float(np.abs(course.volume_ratios(len(course.x) - 1) - 1).max()),
-        "node_distance": float(away) / course.mesh.size,
+        "volume_error": float(np.abs(course.compute_ratios(len(course.x) - 1) - 1).max()),
+        "node_distance": float(distance) / course.mesh.size,
     }

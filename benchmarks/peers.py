@@ -1,11 +1,9 @@
-"""What other programs cost on the same mesh, where they are installed: python -m pipeline.studies.scaling.peers JSON.
+"""The costs of other programs on the same mesh, of those that are installed.
 
-A peer is never needed: without it there is no row. Each row has the ms and ns_per_tet of the peer, `ours_ms` of what is
-nearest to it here, measured in the same process on the same mesh, and `differs`: what is not the same.
+A peer is never needed: without it there is no row. Each row has the ms and ns_per_tet of the peer, `ours_ms` of our
+nearest counterpart, measured in the same process on the same mesh, and `differs`: the differences between the two.
 """
 
-import json
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,16 +15,17 @@ import numpy as np
 
 from pipeline.errors import MeshError, SolveError
 from pipeline.problem.problem import Problem
+from pipeline.studies.scaling.rival import Rival
 from pipeline.studies.scaling.step_cost import build_point, measure_median_ms, read_peak_megabytes
 
 INSTALL = "pip install 'corotational-pipeline[bench]', in an environment of its own"
 _WARM_STEPS = 5  # so that the cells have turned when ours is timed
-# where a step of 0.07 s needs more iterations of MuJoCo's solver than its default of 100, it warns
+# MuJoCo warns if a step needs more iterations than this; one of 0.07 s may exceed the default of 100
 _MUJOCO_ITERATIONS = 1000
 
 
 class PeerCosts(NamedTuple):
-    """Milliseconds of a peer, of what is nearest to it here, and seconds of the peer's set-up."""
+    """Milliseconds of a peer and of our nearest counterpart, and seconds of the peer's set-up."""
 
     ms: float
     ours_ms: float
@@ -34,12 +33,13 @@ class PeerCosts(NamedTuple):
 
 
 class Peer(NamedTuple):
-    """The package, what of it is measured and how, and what differs from ours."""
+    """The package, a noun for the part that is measured, the function that measures it, its differences and color."""
 
     module: str
-    what: str
-    costs: Callable[[Problem], PeerCosts]
+    part: str
+    measure: Callable[[Problem], PeerCosts]
     differs: str
+    color: str
 
 
 def _measure_felupe(problem: Problem) -> PeerCosts:
@@ -61,17 +61,17 @@ def _measure_felupe(problem: Problem) -> PeerCosts:
 
 
 def _measure_mujoco(problem: Problem) -> PeerCosts:
-    """Return the costs of a step of MuJoCo's flex, and of ours; raises SolveError where MuJoCo warns of a step."""
+    """Return the costs of a step of MuJoCo's flex, and of ours; raises SolveError if MuJoCo warns."""
     import mujoco
 
-    with capture_warnings() as warned:
+    with capture_warnings() as warnings:
         began = time.perf_counter()
         model, data = make_flex(problem)
         setup = time.perf_counter() - began
-        warned.clear()  # it misses passive forces, and yet the flex has the elasticity that it was given
+        warnings.clear()  # it misses passive forces, although the flex has the elasticity given
         ms = measure_median_ms(lambda: mujoco.mj_step(model, data))
-    if warned:
-        raise SolveError(f"MuJoCo warned {len(warned)} times, first: {' '.join(warned[0].split())}")
+    if warnings:
+        raise SolveError(f"MuJoCo warned {len(warnings)} times, first: {' '.join(warnings[0].split())}")
     stepper, state = problem.prepare(), problem.start
 
     def step() -> None:
@@ -83,14 +83,14 @@ def _measure_mujoco(problem: Problem) -> PeerCosts:
 
 @contextmanager
 def capture_warnings() -> Iterator[list[str]]:
-    """Yield the list that MuJoCo's warnings go to, which it would print and write into a file."""
+    """Yield a list of MuJoCo's warnings, which it would otherwise print and write to a file."""
     import mujoco
 
-    warned: list[str] = []
+    warnings: list[str] = []
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(warned.append)
+    mujoco.set_mju_user_warning(warnings.append)
     try:
-        yield warned
+        yield warnings
     finally:
         mujoco.set_mju_user_warning(before)
 
@@ -128,6 +128,7 @@ PEERS: Mapping[str, Peer] = {
         _measure_felupe,
         "an assembly, no step: felupe's is the stiffness of linear elasticity at rest, ours the rotations, forces and "
         "corotational stiffness of a moving state, of which it stores one triangle",
+        "#a6761d",
     ),
     "mujoco": Peer(
         "mujoco",
@@ -135,6 +136,7 @@ PEERS: Mapping[str, Peer] = {
         _measure_mujoco,
         'a step of the same dt: Saint Venant-Kirchhoff elasticity, integrator "discrete" (one solve with M + h^2 K), '
         "tolerance 1e-8 of its own kind, the mass equal on all nodes, supports at rest; ours one_solve, corotational",
+        "#6a3d9a",
     ),
 }
 
@@ -144,15 +146,21 @@ def list_installed() -> list[str]:
     return [name for name, peer in PEERS.items() if find_spec(peer.module) is not None]
 
 
+def make_rival(name: str) -> Rival:
+    """Return a peer as a rival of the scaling study."""
+    peer = PEERS[name]
+    return Rival(name, f"{__name__}:measure_peer", f"{name}, {peer.part}", peer.color, peer.differs)
+
+
 def measure_peer(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return the row of one peer on one mesh; raises MeshError in the plane, SolveError where it fails."""
+    """Return the row of one peer on one mesh; raises MeshError for a planar mesh, SolveError if the peer fails."""
     name = settings["method"]
     peer = PEERS[name]
     problem = build_point(settings | {"method": "one_solve"})
     cells = len(problem.body.mesh.cells)
     if problem.body.mesh.dimension != 3:
         raise MeshError(f"{name} is measured with tetrahedra only")
-    costs = peer.costs(problem)
+    costs = peer.measure(problem)
     return {
         "method": name,
         "version": str(import_module(peer.module).__version__),
@@ -167,12 +175,3 @@ def measure_peer(settings: dict[str, Any]) -> dict[str, Any]:
         "differs": peer.differs,
         "peak_MB": read_peak_megabytes(),
     }
-
-
-def main() -> None:
-    """Print the row of the settings given as JSON."""
-    sys.stdout.write(json.dumps(measure_peer(json.loads(sys.argv[1]))) + "\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,10 @@
-"""Plain scipy, honestly written: what one corotational solve a step costs without this project's kernels and solvers.
+"""One corotational solve a step in plain scipy, honestly written, without this project's kernels and solvers.
 
 Batched SVD rotations, element matrices by einsum-free products, bincount assembly into CSR, SuperLU or Jacobi-CG.
 """
+
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -11,10 +14,14 @@ from pipeline.arrays import Floats
 from pipeline.fem.body import Body
 from pipeline.fem.element import deformation_gradient, nodal_forces, stiffness_blocks
 from pipeline.fem.rotation import polar_by_svd
+from pipeline.problem.problem import Problem
+
+_MOST_CELLS_SUPERLU = 50_000  # above, a factorization in every step takes minutes
+_MOST_ITERATIONS = 5000  # of Jacobi-CG, which needs up to 1700 to 1e-6 on our largest mesh
 
 
 class PlainStep:
-    """One step of backward Euler, one solve, on a body that is not compiled: (x, v) -> (x, v)."""
+    """Backward Euler with one solve a step, on a body that is not compiled: (x, v) -> (x, v)."""
 
     def __init__(self, body: Body, dt: float, solver: str, rtol: float = 1e-6) -> None:
         self.body, self.dt, self.solver, self.rtol = body, dt, solver, rtol
@@ -28,9 +35,9 @@ class PlainStep:
         self.indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=d * n))])
         self.shape = (d * n, d * n)
         pairs = body.mass_pairs(body.mesh, body.material.density)
-        self.M = self._assembled(pairs[:, :, None, :, None] * np.eye(d)[None, None, :, None, :])
+        self.M = self._assemble(pairs[:, :, None, :, None] * np.eye(d)[None, None, :, None, :])
 
-    def _assembled(self, blocks: Floats) -> csr_array:
+    def _assemble(self, blocks: Floats) -> csr_array:
         values = np.bincount(self.scatter, weights=blocks.ravel(), minlength=len(self.indices))
         return csr_array((values, self.indices, self.indptr), shape=self.shape)
 
@@ -40,7 +47,7 @@ class PlainStep:
         F = deformation_gradient(body.mesh, x)
         R = polar_by_svd(F)
         f = nodal_forces(body.mesh, body.law.stress(F, R))
-        K = self._assembled(stiffness_blocks(body.mesh, body.law.tangent(F, R)))
+        K = self._assemble(stiffness_blocks(body.mesh, body.law.tangent(F, R)))
         A = (self.M + h**2 * K)[self.free][:, self.free]
         b = (self.M @ v.ravel() + h * (body.load + f).ravel())[self.free]
         new = np.zeros(v.size)
@@ -51,6 +58,22 @@ class PlainStep:
         else:
             inverse = 1 / A.diagonal()
             M = LinearOperator(A.shape, matvec=lambda r: inverse * r.ravel())
-            new[self.free], _ = cg(A, b, x0=v.ravel()[self.free], rtol=self.rtol, M=M, maxiter=5000)
+            new[self.free], _ = cg(A, b, x0=v.ravel()[self.free], rtol=self.rtol, M=M, maxiter=_MOST_ITERATIONS)
         v_new = new.reshape(v.shape)
         return x + h * v_new, v_new
+
+
+def list_starts(problem: Problem) -> list[Callable[[], Callable[[], None]]]:
+    """Return a function for each solver that starts the problem's motion and returns its step."""
+    solvers = ("cg", "superlu") if len(problem.body.mesh.cells) <= _MOST_CELLS_SUPERLU else ("cg",)
+    return [partial(_start_motion, PlainStep(problem.body, problem.dt, solver), problem) for solver in solvers]
+
+
+def _start_motion(stepper: PlainStep, problem: Problem) -> Callable[[], None]:
+    x, v = problem.start.x, problem.start.v
+
+    def step() -> None:
+        nonlocal x, v
+        x, v = stepper.step(x, v)
+
+    return step

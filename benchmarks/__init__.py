@@ -1,0 +1,1 @@
+"""Measurements that compare this package with other programs, or parts of it with each other; not in the wheel."""

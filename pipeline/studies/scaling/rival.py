@@ -1,0 +1,31 @@
+"""Another program that study_scaling measures beside ours; those that we compare with are in benchmarks/."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A program that is measured on the same meshes, and the differences from ours.
+
+    `task` names a function as "module:function" for a process of its own. It takes a point's settings and returns a row
+    with method, version, cells, tets, nodes, dt, ms, ns_per_tet, ours_ms, setup_s, peak_MB and differs.
+    With `beside`, one of our methods, it takes that method's problem and returns functions that each start the motion
+    and return its step: they take turns with ours, and the fastest is `baseline_ms` of our row.
+    """
+
+    name: str
+    task: str
+    label: str
+    color: str
+    differs: str
+    beside: str = ""
+
+
+def import_task(name: str) -> Callable[..., Any]:
+    """Return the function that is named "module:function"."""
+    module, _, function = name.partition(":")
+    task: Callable[..., Any] = getattr(import_module(module), function)
+    return task
