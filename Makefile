@@ -15,37 +15,38 @@ help: ## Show this list
 	@echo "usage: make TARGET [PYTHON=python3.12] [WORKERS=4]"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-setup: .venv/installed ## Create .venv, install everything into it; as root on Debian or Ubuntu the OpenGL libraries too
+setup: .venv/installed ## Create .venv and install everything; as root on Debian or Ubuntu also the OpenGL libraries
 	@if $(BIN)/python -m pipeline.system.opengl; then exit 0; fi; \
 	line="apt-get install -y --no-install-recommends $(OPENGL_PACKAGES)"; \
 	if [ "$$(id -u)" = 0 ] && [ -e /etc/debian_version ] && command -v apt-get >/dev/null; then \
 		echo "installing OpenGL libraries: apt-get update && $$line"; \
 		export DEBIAN_FRONTEND=noninteractive; \
 		apt-get update -qq && $$line -qq >/dev/null && $(BIN)/python -m pipeline.system.opengl && exit 0; \
-		echo "OpenGL could not be installed; going on without pictures and movies"; \
+		echo "OpenGL could not be installed; continuing without pictures and movies"; \
 	else \
-		echo "going on without pictures and movies; to have them on Debian or Ubuntu: sudo $$line"; \
+		echo "continuing without pictures and movies; to get them on Debian or Ubuntu: sudo $$line"; \
 	fi
 
-run: setup ## Run the example: cases/bar.toml -> outputs/bar with its report.html (solved anew each time)
+run: setup ## Run the example: cases/bar.toml -> outputs/bar with report.html (solved again each time)
 	$(BIN)/pipeline run cases/bar.toml --force
 	$(BIN)/pipeline report outputs/bar
 
-report: setup ## Every scene in full, from nothing -> outputs/reproduction.html and .md: what of the seeds holds
+report: setup ## Run every scene in full -> outputs/reproduction.html and .md: published numbers beside ours
 	OMP_NUM_THREADS=1 $(BIN)/pipeline reproduce --force
 	for case in cases/*.toml; do $(BIN)/pipeline run $$case --quiet || exit 1; done
 
-bench: setup ## What a step costs beside plain scipy, in one run; minutes
+bench: setup ## Measure the cost of a step beside plain scipy, in one run; minutes
+	$(BIN)/pipeline study scaling cases/bar_as_printed.toml cases/mushroom_as_printed.toml cases/armadillo_as_printed.toml \
 	$(BIN)/python -m benchmarks.scaling cases/bar_as_printed.toml cases/mushroom_as_printed.toml cases/armadillo_as_printed.toml \
 		--cells 2x8x2 8x26x8 18x52x18 --out outputs/bench
 
-test: setup browser lint ## Everything that CI runs: lint, then all tests
+test: setup browser lint ## Run lint, then all tests, as CI does
 	$(PYTEST)
 
-test-web: setup browser ## The tests of the web page in a browser alone
+test-web: setup browser ## Run only the tests of the web page in a browser
 	$(PYTEST) -m browser
 
-browser: ## As root on Debian: Chromium, which the tests of the web page drive
+browser: ## As root on Debian, install Chromium for the tests of the web page
 	@for name in $(BROWSERS); do command -v $$name >/dev/null && exit 0; done; \
 	line="apt-get install -y --no-install-recommends $(BROWSER_PACKAGES)"; \
 	if [ "$$PIPELINE_SKIP_BROWSER" = 1 ]; then \
@@ -58,7 +59,7 @@ browser: ## As root on Debian: Chromium, which the tests of the web page drive
 		echo "no browser: the tests of the web page will fail; on Debian: sudo $$line (or PIPELINE_SKIP_BROWSER=1)"; \
 	fi
 
-test-paraview: setup ## What Debian's ParaView reads and draws; as root on Debian it is installed (386 MB to download)
+test-paraview: setup ## Test reading and drawing in Debian's ParaView; as root, install it first (386 MB to download)
 	@if ! command -v pvbatch >/dev/null || ! command -v xvfb-run >/dev/null || ! command -v xauth >/dev/null; then \
 		line="apt-get install -y --no-install-recommends $(PARAVIEW_PACKAGES)"; \
 		if [ "$$(id -u)" = 0 ] && [ -e /etc/debian_version ]; then \
@@ -68,13 +69,13 @@ test-paraview: setup ## What Debian's ParaView reads and draws; as root on Debia
 	fi
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q tests/paraview
 
-quick: setup ## The tests that take no more than a few seconds each
+quick: setup ## Run the tests that take at most a few seconds each
 	$(PYTEST) -m "not slow"
 
-fuzz: setup ## 10 000 bad inputs, 100 kills at random moments; minutes
+fuzz: setup ## Try 10 000 bad inputs and 100 kills at random moments; minutes
 	PIPELINE_FUZZ=10000 PIPELINE_KILLS=100 $(PYTEST) tests/formats/test_fuzz.py tests/results/test_faults.py -k "files or kill_9"
 
-lint: .venv/installed ## ruff check, ruff format --check, mypy
+lint: .venv/installed ## Run ruff check, ruff format --check and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -83,20 +84,20 @@ docs: setup ## Build the site into docs/_build/html; a warning is an error
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
 	@echo "open docs/_build/html/index.html"
 
-schema: setup ## Write cases/case.schema.json and the tables of docs/case_files.md again
+schema: setup ## Rewrite cases/case.schema.json and the tables of docs/case_files.md
 	$(BIN)/python -m tools.write_schema
 
 clean: ## Remove .venv, caches and build leftovers; results in outputs/ stay
 	rm -rf .venv build dist docs/_build docs/_generated *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find pipeline tests -type d -name __pycache__ -prune -exec rm -rf {} +
 
-# Made anew when the requirements change.
+# Remade when the requirements change.
 .venv/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
-		echo "Python 3.11 or newer is needed; $(PYTHON) is $$($(PYTHON) --version 2>&1 | head -n 1)." \
-			"Name another one: make setup PYTHON=python3.12" >&2; exit 1; }
+		echo "Python 3.11 or newer is required; $(PYTHON) is $$($(PYTHON) --version 2>&1 | head -n 1)." \
+			"Choose another one: make setup PYTHON=python3.12" >&2; exit 1; }
 	@echo "installing into .venv (a minute or two)"
 	@$(PYTHON) -m venv .venv || { \
-		echo "no virtual environment could be made; on Debian or Ubuntu: apt-get install python3-venv" >&2; exit 1; }
+		echo "the virtual environment could not be created; on Debian or Ubuntu: apt-get install python3-venv" >&2; exit 1; }
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
