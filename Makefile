@@ -36,7 +36,6 @@ report: setup ## Run every scene in full -> outputs/reproduction.html and .md: p
 	for case in cases/*.toml; do $(BIN)/pipeline run $$case --quiet || exit 1; done
 
 bench: setup ## Measure the cost of a step beside plain scipy, in one run; minutes
-	$(BIN)/pipeline study scaling cases/bar_as_printed.toml cases/mushroom_as_printed.toml cases/armadillo_as_printed.toml \
 	$(BIN)/python -m benchmarks.scaling cases/bar_as_printed.toml cases/mushroom_as_printed.toml cases/armadillo_as_printed.toml \
 		--cells 2x8x2 8x26x8 18x52x18 --out outputs/bench
 
