@@ -34,8 +34,8 @@ class PlainStep:
         rows, self.indices = np.divmod(unique, d * n)
         self.indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=d * n))])
         self.shape = (d * n, d * n)
-        pairs = body.mass_pairs(body.mesh, body.material.density)
-        self.M = self._assemble(pairs[:, :, None, :, None] * np.eye(d)[None, None, :, None, :])
+        masses = body.mass_model.cell_masses(body.mesh, body.material.density)
+        self.M = self._assemble(masses[:, :, None, :, None] * np.eye(d)[None, None, :, None, :])
 
     def _assemble(self, blocks: Floats) -> csr_array:
         values = np.bincount(self.scatter, weights=blocks.ravel(), minlength=len(self.indices))

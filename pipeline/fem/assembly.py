@@ -60,11 +60,17 @@ class BlockPattern:
         size = self.dimension * self.nodes
         return bsr_array((both, indices, indptr), shape=(size, size))
 
-    def product(self, values: Floats, x: Floats, out: Floats) -> Floats:
-        """Write the matrix times x (rows, d) into out, in the order of the rows, and return it."""
-        from pipeline.fem.kernels.blocks import product
+    @cached_property
+    def columns(self) -> Ints:
+        """Return the node of every block's column."""
+        in_order = (self.order == np.arange(self.nodes)).all()
+        return self.indices if in_order else self.order[self.indices]
 
-        product(self.indptr, self.indices, values, x, out)
+    def multiply(self, values: Floats, x: Floats, out: Floats) -> Floats:
+        """Write the matrix times x (n, d) into out, both in the order of the nodes, and return it."""
+        from pipeline.fem.kernels.blocks import multiply
+
+        multiply(self.indptr, self.columns, self.order, values, x, out)
         return out
 
     def leading(self, count: int) -> "BlockPattern":

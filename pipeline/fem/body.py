@@ -11,7 +11,7 @@ from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
 from pipeline.fem.element import deformation_gradient, nodal_forces, nodal_sums, stiffness_blocks
 from pipeline.fem.frame_error import FrameError, measure_frame_error, spurious_volume
 from pipeline.fem.laws import Law, Tangent
-from pipeline.fem.loads import lumped_mass_pairs
+from pipeline.fem.mass import MassModel
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
@@ -20,7 +20,7 @@ from pipeline.mesh.simplex import Mesh
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """The body that moves: mesh, law, supports and loads; `mass_pairs` makes the mass matrix of a cell.
+    """The body that moves: mesh, law, supports, loads and mass model.
 
     `load` (n, d) [N] is the sum of the constant dead loads; `varying_load` returns the others at a time [s].
     """
@@ -29,7 +29,7 @@ class Body:
     law: Law
     supports: Supports
     load: Floats
-    mass_pairs: Callable[[Mesh, float], Floats]
+    mass_model: MassModel
     varying_load: Callable[[float], Floats] | None = None
 
     @property
@@ -77,7 +77,7 @@ class Body:
     @cached_property
     def _nodal_mass(self) -> Floats:
         """Return the mass matrix' values without their d-fold repetition (blocks,) [kg]."""
-        return self.assembly.sum_scalars(self.mass_pairs(self.mesh, self.material.density))
+        return self.assembly.sum_scalars(self.mass_model.cell_masses(self.mesh, self.material.density))
 
     @cached_property
     def lumped_mass(self) -> Floats:
@@ -109,25 +109,13 @@ class Body:
     def momentum(self, v: Floats, out: Floats | None = None) -> Floats:
         """Return M v (n, d) [kg m/s], in `out` where that is given; lumped masses need no matrix."""
         out = np.empty_like(v) if out is None else out
-        if self.mass_pairs is lumped_mass_pairs:
+        if self.mass_model.is_diagonal:
             return np.multiply(self.lumped_mass[:, None], v, out=out)
-        from pipeline.fem.kernels.blocks import scalar_product
+        from pipeline.fem.kernels.blocks import multiply_scalars
 
         pattern = self.pattern
-        scalar_product(pattern.indptr, pattern.indices, pattern.order, self._nodal_mass, np.ascontiguousarray(v), out)
+        multiply_scalars(pattern.indptr, pattern.columns, pattern.order, self._nodal_mass, np.ascontiguousarray(v), out)
         return out
-
-    def product(self, values: Floats, w: Floats) -> Floats:
-        """Return the product (n, d) of a matrix of `pattern` with w (n, d); the next call overwrites it."""
-        first, second, place = self._rows
-        w.take(self.order, 0, first, "clip")
-        self.pattern.product(values, first, second)
-        return second.take(place, 0, first, "clip")
-
-    @cached_property
-    def _rows(self) -> tuple[Floats, Floats, Ints]:
-        """Return room for two vectors in the order of the matrix' rows, and the row of every node."""
-        return np.empty_like(self.mesh.points), np.empty_like(self.mesh.points), np.argsort(self.order)
 
     def rotations(self, x: Floats) -> Floats:
         """Return the law's frame of every cell (e, d, d) at positions x (n, d)."""

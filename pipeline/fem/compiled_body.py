@@ -13,13 +13,10 @@ from pipeline.fem.assembly import corners_by_row
 from pipeline.fem.body import Body
 from pipeline.fem.frame_error import FrameError, indicator, spurious_volume
 from pipeline.fem.laws import CREASE, Corotational, Law, Linear, Tangent
-from pipeline.fem.rotation import gram_schmidt, polar
+from pipeline.fem.mass import MassModel
+from pipeline.fem.rotation import IDENTITY, POLAR
 from pipeline.fem.supports import Supports
 from pipeline.mesh.simplex import Mesh
-
-# of the corotational law, by their numbers in kernels/rotation.py, and what the linear law has instead
-_ROTATIONS = (polar, gram_schmidt)
-_POLAR, _IDENTITY = 0, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +25,9 @@ class CompiledBody(Body):
 
     @cached_property
     def _rotation(self) -> int:
-        return _ROTATIONS.index(self.law.rotation) if isinstance(self.law, Corotational) else _IDENTITY
+        number = find_rotation_number(self.law)
+        assert number is not None  # make_body gives other laws a Body
+        return number
 
     @cached_property
     def _kernels(self) -> Any:
@@ -119,7 +118,7 @@ class CompiledBody(Body):
 
     def measure_frame_error(self, x: Floats, used: Floats | None, reached: Floats) -> FrameError:
         """Write the rotations at x into reached (e, d, d); return how far they are from those used, None for I."""
-        if self._rotation != _POLAR:
+        if self._rotation != POLAR:
             return super().measure_frame_error(x, used, reached)
         cells, G, _, mu, lam = self._cells
         before, d = self._no_rotations if used is None else used, x.shape[1]
@@ -130,7 +129,7 @@ class CompiledBody(Body):
 
     def bound_frame_error(self, x: Floats) -> float:
         """Return what the indicator of measure_frame_error(x, None) does not exceed, without finding rotations."""
-        if self._rotation != _POLAR:
+        if self._rotation != POLAR:
             return super().bound_frame_error(x)
         cells, G, _, mu, lam = self._cells
         tangent, stress = self._frame_error_kernels.bound_frame_error(_plain(x), cells, G, mu, lam)
@@ -149,7 +148,7 @@ class CompiledBody(Body):
         self, x: Floats, scale: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
     ) -> None:
         """Write the elastic forces into f (n, d) and add scale * K to A (blocks, d, d)."""
-        if kind != "frozen" and (R is not None or self._rotation != _POLAR):
+        if kind != "frozen" and (R is not None or self._rotation != POLAR):
             super().add_stiffness(x, scale, f, A, R=R, kind=kind)
             return
         x, used = _plain(x), self._no_rotations if R is None else _plain(R)
@@ -168,25 +167,24 @@ class LinearBody(CompiledBody):
         """Return the values of K (blocks, d, d) [N/m], summed over the cells once."""
         return self.linearize(self.mesh.points)[1]
 
-    @cached_property
-    def _u(self) -> Floats:
-        return np.empty_like(self.mesh.points)
-
     def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
         """Return the elastic forces ON the nodes (n, d) [N], in `out` where that is given; R is not used."""
-        u = np.subtract(self.mesh.points, x, out=self._u)
-        f = np.empty_like(x) if out is None else out
-        f[:] = self.product(self.stiffness, u)
+        from pipeline.fem.kernels.blocks import multiply_difference
+
+        f, X = np.empty_like(x) if out is None else out, self.mesh.points
+        indptr, columns, order = self.pattern.indptr, self.pattern.columns, self.pattern.order
+        multiply_difference(indptr, columns, order, self.stiffness, X, _plain(x), f)
         return f
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy (x - X) . K (x - X) / 2 [J] at positions x (n, d)."""
-        u = np.subtract(x, self.mesh.points, out=self._u)
-        return 0.5 * float(np.vdot(u, self.product(self.stiffness, u)))
+        u = x - self.mesh.points
+        return 0.5 * float(np.vdot(u, self.pattern.multiply(self.stiffness, u, np.empty_like(u))))
 
     def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
-        """Sum the stiffness; have its product loaded, or compiled."""
+        """Sum the stiffness and load, or compile, its products."""
         self.momentum(np.zeros_like(self.mesh.points))
+        self.force(self.mesh.points)
         self.energy(self.mesh.points)
 
 
@@ -197,18 +195,25 @@ def _plain(x: Floats) -> Floats:
     return np.require(x, np.float64, ["C", "W"])
 
 
+def find_rotation_number(law: Law) -> int | None:
+    """Return the number by which kernels know the rotation of a law, None for a law or rotation without a kernel."""
+    if isinstance(law, Linear):
+        return IDENTITY
+    return law.rotation.number if isinstance(law, Corotational) else None
+
+
 def make_body(
     mesh: Mesh,
     law: Law,
     supports: Supports,
     load: Floats,
-    mass_pairs: Callable[[Mesh, float], Floats],
+    mass_model: MassModel,
     varying_load: Callable[[float], Floats] | None = None,
 ) -> Body:
     """Return the body that is fastest for a law; a law that is none of ours has the plain one."""
     kind = Body
     if isinstance(law, Linear):
         kind = LinearBody
-    elif isinstance(law, Corotational) and law.rotation in _ROTATIONS:
+    elif find_rotation_number(law) is not None:
         kind = CompiledBody
-    return kind(mesh, law, supports, load, mass_pairs, varying_load)
+    return kind(mesh, law, supports, load, mass_model, varying_load)

@@ -15,7 +15,6 @@ a = axial(R^T dF - dF^T R):
 positive semidefinite tangent because the three terms act on orthogonal spaces; `exact` is indefinite in compression.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -23,7 +22,7 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.fem.material import Material
-from pipeline.fem.rotation import polar
+from pipeline.fem.rotation import POLAR_ROTATION, Rotation
 
 Tangent = Literal["frozen", "projected", "exact"]
 # A_i -> 0 with c > 0 is a convex crease of W, whose curvature has no bound: this many shear moduli stand for it.
@@ -86,12 +85,12 @@ class Corotational:
     """Linear elasticity in the frame R of every cell."""
 
     material: Material
-    rotation: Callable[[Floats], Floats] = polar
+    rotation: Rotation = POLAR_ROTATION
     constant_tangent = False
 
     def rotations(self, F: Floats) -> Floats:
         """Return the rotation extracted from each F."""
-        return self.rotation(F)
+        return self.rotation.extract(F)
 
     def energy_density(self, F: Floats, R: Floats) -> Floats:
         """Return W (e,) [J/m3] of the strain in the frame R."""

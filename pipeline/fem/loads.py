@@ -3,6 +3,7 @@
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
+from pipeline.fem.mass import consistent_masses
 from pipeline.mesh.simplex import Mesh
 from pipeline.mesh.surface import outward_areas
 
@@ -15,7 +16,7 @@ def body_force(mesh: Mesh, b: Floats) -> Floats:
 def body_force_field(mesh: Mesh, b: Floats) -> Floats:
     """Return the nodal forces (n, d) [N] of a force density b (n, d) [N/m3], given at the nodes and linear in cells."""
     f = np.zeros_like(mesh.points)
-    np.add.at(f, mesh.cells, consistent_mass_pairs(mesh, 1.0) @ b[mesh.cells])
+    np.add.at(f, mesh.cells, consistent_masses(mesh, 1.0) @ b[mesh.cells])
     return f
 
 
@@ -26,15 +27,3 @@ def normal_traction(mesh: Mesh, faces: Ints, traction: float) -> Floats:
     for corner in faces.T:
         np.add.at(f, corner, share)
     return f
-
-
-def consistent_mass_pairs(mesh: Mesh, density: float) -> Floats:
-    """Return rho V / ((d+1)(d+2)) (1 + delta_ab) of every cell (e, d + 1, d + 1) [kg]."""
-    k = mesh.dimension + 1
-    return (density * mesh.rest_volumes / (k * (k + 1)))[:, None, None] * (1 + np.eye(k))
-
-
-def lumped_mass_pairs(mesh: Mesh, density: float) -> Floats:
-    """Return rho V / (d + 1) delta_ab of every cell (e, d + 1, d + 1) [kg]."""
-    k = mesh.dimension + 1
-    return (density * mesh.rest_volumes / k)[:, None, None] * np.eye(k)

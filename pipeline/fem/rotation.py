@@ -8,6 +8,9 @@ a rotation is still chosen: polar completes the singular vectors, gram_schmidt t
 that is least parallel to what it has; F = 0 gives the identity.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from pipeline.arrays import Floats
@@ -15,6 +18,15 @@ from pipeline.arrays import Floats
 # A column is taken for null, or for parallel to the one before, when less than this part of it is left:
 # below it the direction is rounding error.
 _NULL = 1e-14
+POLAR, GRAM_SCHMIDT, IDENTITY = 0, 1, 2  # the numbers by which compiled kernels know rotations
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """Extracts the rotations (e, d, d) of gradients F (e, d, d); `number` is that of its compiled kernel, if any."""
+
+    extract: Callable[[Floats], Floats]
+    number: int | None = None
 
 
 def _scale_entries(F: Floats) -> Floats:
@@ -101,3 +113,7 @@ def _least_parallel_axis(basis: list[Floats], count: int, d: int) -> Floats:
     for r in basis:
         parallel += r**2
     return _across(np.eye(d)[np.argmin(parallel, axis=-1)], basis)
+
+
+POLAR_ROTATION = Rotation(polar, POLAR)
+GRAM_SCHMIDT_ROTATION = Rotation(gram_schmidt, GRAM_SCHMIDT)

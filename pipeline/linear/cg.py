@@ -45,7 +45,7 @@ class ConjugateGradients:
         from pipeline.linear.kernels import vectors as kernels
 
         r, d = self._r, self.pattern.dimension
-        self.pattern.product(np.zeros((self.pattern.blocks, d, d)), r, self._Ap)
+        self.pattern.multiply(np.zeros((self.pattern.blocks, d, d)), r, self._Ap)
         kernels.subtract(r, self._Ap, self._z)
         kernels.descend(kernels.dot(r, r), self._p, self._Ap, self._z, r)
         kernels.follow(self._z, 0.0, self._p)
@@ -61,7 +61,7 @@ class ConjugateGradients:
 
         r, z, p, Ap = self._r, self._z, self._p, self._Ap
         target = self.rtol * np.sqrt(kernels.dot(b, b))
-        size = kernels.subtract(b, self.pattern.product(self._values, x, Ap), r)
+        size = kernels.subtract(b, self.pattern.multiply(self._values, x, Ap), r)
         p[:] = 0.0
         rz, step = 1.0, 0.0  # so that the first direction is z
         for iteration in range(_LIMIT):
@@ -72,7 +72,7 @@ class ConjugateGradients:
             # preconditioner each time
             kernels.follow(z, -step * zAp / rz, p)
             rz = rz_new
-            curvature = kernels.dot(p, self.pattern.product(self._values, p, Ap))
+            curvature = kernels.dot(p, self.pattern.multiply(self._values, p, Ap))
             if not curvature > 0:
                 raise SolveError(f"the system's matrix is not positive definite (p . A p = {curvature:.3g})")
             step = rz / curvature

@@ -8,13 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from pipeline.arrays import Floats
 from pipeline.case import MethodSpec
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Corotational, Law, Linear
-from pipeline.fem.loads import consistent_mass_pairs, lumped_mass_pairs
+from pipeline.fem.mass import CONSISTENT_MASS, LUMPED_MASS, MassModel
 from pipeline.fem.material import Material
-from pipeline.fem.rotation import gram_schmidt, polar
+from pipeline.fem.rotation import GRAM_SCHMIDT_ROTATION, POLAR_ROTATION, Rotation
 from pipeline.linear.banded import BandedCholesky
 from pipeline.linear.cg import make_block_jacobi_cg
 from pipeline.linear.pardiso import make_pardiso_or_superlu
@@ -32,7 +31,6 @@ from pipeline.stepping.state import Stepper
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
 
 Make = TypeVar("Make")
-Rotation = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -81,9 +79,11 @@ LAWS: Mapping[str, LawChoice] = {
     "corotational": LawChoice(Corotational, "linear elasticity in each cell's own rotated frame"),
 }
 ROTATIONS: Mapping[str, Choice[Rotation]] = {
-    "polar": Choice(polar, "closest rotation to F; independent of the axes; right for inverted and collapsed cells"),
+    "polar": Choice(
+        POLAR_ROTATION, "closest rotation to F; independent of the axes; right for inverted and collapsed cells"
+    ),
     "gram_schmidt": Choice(
-        gram_schmidt, "the thesis' choice: cheap, depends on the order of the axes, has no potential"
+        GRAM_SCHMIDT_ROTATION, "the thesis' choice: cheap, depends on the order of the axes, has no potential"
     ),
 }
 STEPPERS: Mapping[str, StepperChoice] = {
@@ -125,9 +125,9 @@ TANGENTS: Mapping[str, str] = {
     "exact": "for converged: quadratic near the solution, may fail in compression",
     "frozen": "for converged: the thesis' stiffness, linear convergence",
 }
-MASSES: Mapping[str, Choice[Callable[[Mesh, float], Floats]]] = {
-    "consistent": Choice(consistent_mass_pairs, "the element's own mass matrix"),
-    "lumped": Choice(lumped_mass_pairs, "the same mass on the nodes: a diagonal; what symplectic_euler takes"),
+MASSES: Mapping[str, Choice[MassModel]] = {
+    "consistent": Choice(CONSISTENT_MASS, "the element's own mass matrix"),
+    "lumped": Choice(LUMPED_MASS, "the same mass on the nodes: a diagonal; what symplectic_euler takes"),
 }
 # None: the law's own rotation
 INVERSIONS: Mapping[str, Choice[Callable[[], Treatment] | None]] = {

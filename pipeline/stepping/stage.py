@@ -105,7 +105,7 @@ class StageSystem:
         return np.empty((len(self.body.mesh.points), d, d))
 
     def solve(self, held: Floats, w: Floats) -> Work:
-        """Make A w = b on the free nodes and w = held (k, d) on the others; w (n, d) is the guess, b is overwritten."""
+        """Make A w = b on the free nodes, w = held (k, d) on the others; w (n, d) is the guess, b and f change."""
         body = self.body
         if not body.supports.nodes.size:
             return self.solver.solve(self.b, w)
@@ -114,7 +114,7 @@ class StageSystem:
         if held.any():
             w[body.free] = 0.0
             w[body.supports.nodes] = held
-            self.b -= body.product(self.A, w)
+            self.b -= body.pattern.multiply(self.A, w, self.f)
         self.b.take(body.free, 0, b, "clip")
         work = self.solver.solve(b, free)
         w[body.free] = free

@@ -1,27 +1,34 @@
 """Compiled kernels give what the plain numpy lines give."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from pipeline.fem.body import Body
 from pipeline.fem.compiled_body import CompiledBody, LinearBody, make_body
 from pipeline.fem.laws import Corotational, Linear
-from pipeline.fem.loads import consistent_mass_pairs
+from pipeline.fem.mass import CONSISTENT_MASS
 from pipeline.fem.material import Material
-from pipeline.fem.rotation import gram_schmidt, polar, polar_by_svd
+from pipeline.fem.rotation import (
+    GRAM_SCHMIDT,
+    GRAM_SCHMIDT_ROTATION,
+    IDENTITY,
+    POLAR,
+    POLAR_ROTATION,
+    Rotation,
+    gram_schmidt,
+    polar,
+    polar_by_svd,
+)
 from pipeline.fem.supports import Supports
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh, edge_matrices, signed_volumes
 from pipeline.run.measures import volumes_and_angles, volumes_and_angles_by_numpy
 
-Rotation = Callable[[np.ndarray], np.ndarray]
 MATERIAL = Material(1e6, 0.3, 1000.0)
 NOWHERE = Supports(np.zeros(0, dtype=np.int64))
 
 
-@pytest.fixture(params=[polar, gram_schmidt])
+@pytest.fixture(params=[POLAR_ROTATION, GRAM_SCHMIDT_ROTATION], ids=["polar", "gram_schmidt"])
 def rotation(request) -> Rotation:
     return request.param
 
@@ -33,7 +40,7 @@ def bodies(request, rotation: Rotation) -> tuple[Body, Body]:
     moved = even.points + 0.05 * np.random.default_rng(0).uniform(-1, 1, even.points.shape)
     mesh = Mesh(moved, even.cells)
     assert mesh.rest_volumes.max() > 1.5 * mesh.rest_volumes.min()
-    arguments = (mesh, Corotational(MATERIAL, rotation), NOWHERE, np.zeros_like(mesh.points), consistent_mass_pairs)
+    arguments = (mesh, Corotational(MATERIAL, rotation), NOWHERE, np.zeros_like(mesh.points), CONSISTENT_MASS)
     return Body(*arguments), CompiledBody(*arguments)
 
 
@@ -111,7 +118,7 @@ def test_gram_schmidt_rotations_of_odd_gradients_are_those_of_the_plain_lines(d:
     F[500:600], F[600:700] = 1e200 * F[500:600], 1e-200 * F[600:700]
     F[700:800, :, 0] *= 1e-12
     F[800:900] = F[800:900, :, :1] * F[800:900, :1, :]
-    expected, found = gram_schmidt(F), rotations_of(F, gram_schmidt)
+    expected, found = gram_schmidt(F), rotations_of(F, GRAM_SCHMIDT_ROTATION)
     loose = np.r_[400:500, 800:900]  # what is left of the second column is rounding error there
     np.testing.assert_allclose(np.delete(found, loose, 0), np.delete(expected, loose, 0), atol=1e-12)
     np.testing.assert_allclose(found[400:500], expected[400:500], atol=1e-6)
@@ -119,7 +126,7 @@ def test_gram_schmidt_rotations_of_odd_gradients_are_those_of_the_plain_lines(d:
     np.testing.assert_allclose(np.linalg.det(found), 1.0)
     for nothing in (np.nan, np.inf):
         F[0, 0, 0] = nothing
-        np.testing.assert_array_equal(rotations_of(F[:1], gram_schmidt)[0], np.eye(d))
+        np.testing.assert_array_equal(rotations_of(F[:1], GRAM_SCHMIDT_ROTATION)[0], np.eye(d))
 
 
 def rotations_of(F: np.ndarray, rotation: Rotation) -> np.ndarray:
@@ -129,7 +136,7 @@ def rotations_of(F: np.ndarray, rotation: Rotation) -> np.ndarray:
     mesh = Mesh(np.tile(corners, (len(F), 1)), np.arange(len(F) * (d + 1)).reshape(-1, d + 1))
     x = np.einsum("eij,aj->eai", F, corners).reshape(-1, d)
     x[np.isnan(x)] = 0.0 if np.isfinite(F).all() else np.nan
-    arguments = (mesh, Corotational(MATERIAL, rotation), NOWHERE, np.zeros_like(x), consistent_mass_pairs)
+    arguments = (mesh, Corotational(MATERIAL, rotation), NOWHERE, np.zeros_like(x), CONSISTENT_MASS)
     return CompiledBody(*arguments).rotations(x)
 
 
@@ -137,7 +144,7 @@ def rotations_of(F: np.ndarray, rotation: Rotation) -> np.ndarray:
 def test_the_linear_law_has_one_matrix_and_its_numbers_are_those_of_the_plain_body(d: int) -> None:
     mesh = box([1.0, 2.0, 1.5], [2, 3, 2]) if d == 3 else rectangle([1.0, 2.0], [4, 7])
     held = Supports(np.flatnonzero(mesh.points[:, 0] == 0.0))
-    arguments = (mesh, Linear(MATERIAL), held, np.zeros_like(mesh.points), consistent_mass_pairs)
+    arguments = (mesh, Linear(MATERIAL), held, np.zeros_like(mesh.points), CONSISTENT_MASS)
     plain, body = Body(*arguments), make_body(*arguments)
     assert type(body) is LinearBody
     x = mesh.points + np.random.default_rng(4).normal(size=mesh.points.shape)
@@ -153,25 +160,23 @@ def test_the_linear_law_has_one_matrix_and_its_numbers_are_those_of_the_plain_bo
 
 
 def test_rotations_have_the_numbers_that_kernels_know_them_by() -> None:
-    from pipeline.fem.kernels.rotation import GRAM_SCHMIDT, IDENTITY, POLAR
-
     mesh = box([1.0, 1.0, 1.0], [1, 1, 1])
     laws = {
         POLAR: Corotational(MATERIAL),
-        GRAM_SCHMIDT: Corotational(MATERIAL, gram_schmidt),
+        GRAM_SCHMIDT: Corotational(MATERIAL, GRAM_SCHMIDT_ROTATION),
         IDENTITY: Linear(MATERIAL),
     }
     for number, law in laws.items():
-        assert make_body(mesh, law, NOWHERE, mesh.points, consistent_mass_pairs)._rotation == number
+        assert make_body(mesh, law, NOWHERE, mesh.points, CONSISTENT_MASS)._rotation == number
 
 
 def test_a_law_without_a_kernel_runs_on_numpy() -> None:
     mesh = box([1.0, 1.0, 1.0], [1, 1, 1])
-    law = Corotational(MATERIAL, lambda F: np.broadcast_to(np.eye(3), F.shape))
-    assert type(make_body(mesh, law, NOWHERE, mesh.points, consistent_mass_pairs)) is Body
+    law = Corotational(MATERIAL, Rotation(lambda F: np.broadcast_to(np.eye(3), F.shape)))
+    assert type(make_body(mesh, law, NOWHERE, mesh.points, CONSISTENT_MASS)) is Body
 
 
 def test_the_corotational_law_is_compiled(rotation: Rotation) -> None:
     for mesh in (box([1.0, 1.0, 1.0], [1, 1, 1]), rectangle([1.0, 1.0], [1, 1])):
         law = Corotational(MATERIAL, rotation)
-        assert type(make_body(mesh, law, NOWHERE, mesh.points, consistent_mass_pairs)) is CompiledBody
+        assert type(make_body(mesh, law, NOWHERE, mesh.points, CONSISTENT_MASS)) is CompiledBody

@@ -5,14 +5,14 @@ import pytest
 
 from pipeline.fem.laws import Corotational, Linear, isotropic
 from pipeline.fem.material import Material
-from pipeline.fem.rotation import gram_schmidt, polar
+from pipeline.fem.rotation import GRAM_SCHMIDT_ROTATION, POLAR_ROTATION
 from tests.bodies import turn
 
 SOFT = Material(2.0, 0.3, 1.0)
 LAWS = {
     "linear": Linear(SOFT),
-    "polar": Corotational(SOFT, polar),
-    "gram_schmidt": Corotational(SOFT, gram_schmidt),
+    "polar": Corotational(SOFT, POLAR_ROTATION),
+    "gram_schmidt": Corotational(SOFT, GRAM_SCHMIDT_ROTATION),
 }
 # principal stretches, all away from the creases s_i + s_j = 0, where W has no derivative
 STRETCHES = {
@@ -168,6 +168,6 @@ def test_gram_schmidt_stress_turns_a_sheared_cell_by_itself(d, order, ghost):
     F = np.eye(d)[None].copy()
     F[0, 0, 1] = 1.0
     F = F[:, order[:d]][:, :, order[:d]]
-    law = Corotational(Material(1.0, 0.33, 1.0), gram_schmidt)
+    law = Corotational(Material(1.0, 0.33, 1.0), GRAM_SCHMIDT_ROTATION)
     torque = law.stress(F, law.rotations(F)) @ np.swapaxes(F, 1, 2)
     assert np.abs(torque - np.swapaxes(torque, 1, 2)).max() == pytest.approx(ghost, abs=1e-5)

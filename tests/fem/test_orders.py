@@ -6,7 +6,7 @@ from scipy.sparse.linalg import spsolve
 
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Linear
-from pipeline.fem.loads import consistent_mass_pairs
+from pipeline.fem.mass import CONSISTENT_MASS
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports
 from pipeline.mesh.shapes import box, rectangle
@@ -29,7 +29,7 @@ def error(d: int, n: int, split: str) -> float:
         b[:, j] = -(lam + mu) * np.pi**2 * c[:, 0] * c[:, j] * others
     held = np.flatnonzero(((X < 1e-9) | (X > 1 - 1e-9)).any(axis=1))
     load = mesh.node_volumes[:, None] * b
-    body = Body(mesh, Linear(MATERIAL), Supports(held), load, consistent_mass_pairs)
+    body = Body(mesh, Linear(MATERIAL), Supports(held), load, CONSISTENT_MASS)
     _, K = body.linearize(X)
     pattern = body.free_pattern
     u = np.zeros_like(X)

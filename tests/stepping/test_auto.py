@@ -56,7 +56,7 @@ def test_the_compiled_frame_error_is_the_plain_one_and_its_bound_holds(d: int, s
     rng = np.random.default_rng(5)
     mesh = box([1.0, 2.0, 1.5], [2, 3, 2]) if d == 3 else rectangle([1.0, 2.0], [3, 5])
     compiled = solid(mesh, "corotational", held=[0, 1])
-    plain = Body(compiled.mesh, compiled.law, compiled.supports, compiled.load, compiled.mass_pairs)
+    plain = Body(compiled.mesh, compiled.law, compiled.supports, compiled.load, compiled.mass_model)
     X = compiled.mesh.points
     axis = np.array([1.0, 2.0, -1.0] if d == 3 else [0.0, 0.0, 1.0])
     x = X @ rotation_about(axis, turn)[:d, :d].T + shake * rng.normal(size=X.shape)

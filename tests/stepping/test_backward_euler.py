@@ -11,6 +11,7 @@ from pipeline.fem.assembly import BlockPattern
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.loads import body_force
 from pipeline.fem.modes import lowest_frequencies
+from pipeline.fem.rotation import Rotation
 from pipeline.linear.cg import make_block_jacobi_cg
 from pipeline.linear.solver import RestState, SystemSettings
 from pipeline.linear.superlu import SuperLU
@@ -196,7 +197,7 @@ def test_a_linear_run_factors_once_and_extracts_no_rotation(monkeypatch):
     def never(F):
         raise AssertionError("a linear scene extracts no rotations")
 
-    monkeypatch.setitem(pipeline.problem.methods.ROTATIONS, "polar", Choice(never, ""))
+    monkeypatch.setitem(pipeline.problem.methods.ROTATIONS, "polar", Choice(Rotation(never), ""))
     body = clamped_bar()
     prepared, state, work = stepper(body, 0.07), State(0, body.mesh.points, thrown(body)), Work()
     for _ in range(10):

@@ -8,7 +8,7 @@ import pytest
 from pipeline.fem.body import Body
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.laws import Corotational
-from pipeline.fem.rotation import polar
+from pipeline.fem.rotation import Rotation, polar
 from pipeline.fem.supports import Supports
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.methods import INVERSIONS
@@ -118,8 +118,8 @@ def test_the_reflecting_rotation_keeps_an_inverted_cell_inverted_and_ours_lets_i
     body, x = apex(d, depth)
     ends = {}
     for rotation in (reflecting, polar):
-        law = Corotational(MATERIAL, rotation)
-        other = Body(body.mesh, law, Supports(body.supports.nodes), body.load, body.mass_pairs)
+        law = Corotational(MATERIAL, Rotation(rotation))
+        other = Body(body.mesh, law, Supports(body.supports.nodes), body.load, body.mass_model)
         last = motion(other, DT, STEPS, np.zeros_like(x), x)[-1]
         ends[rotation] = np.linalg.det(deformation_gradient(body.mesh, last.x))[0], other.energy(last.x)
     # the mirror image is taken for the rest shape: J = -1 without energy

@@ -7,8 +7,9 @@ makes vector instructions of such loops; cells for which they lose digits are lo
 import numpy as np
 from numba import njit
 
+from pipeline.fem.rotation import GRAM_SCHMIDT, POLAR
+
 LANES = 32
-POLAR, GRAM_SCHMIDT, IDENTITY = 0, 1, 2
 # Newton on the quartic starts above its largest root and falls monotonically; near a double root it slows down, and
 # the eigenvector's cofactors lose their digits: below this part of their natural size Jacobi's sweeps decide.
 _SEPARATED = 1e-5

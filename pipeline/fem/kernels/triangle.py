@@ -7,7 +7,7 @@ that of the vector (a + d, c - b). Arguments are those of tetrahedron.py, frame_
 import numpy as np
 from numba import njit
 
-from pipeline.fem.kernels.rotation import GRAM_SCHMIDT, POLAR
+from pipeline.fem.rotation import GRAM_SCHMIDT, POLAR
 
 _NULL = 1e-14  # as in rotation.py: below this part of F the vector is rounding, and the rotation the identity
 

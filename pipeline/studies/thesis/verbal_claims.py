@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.case import MethodSpec
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
-from pipeline.fem.loads import consistent_mass_pairs
+from pipeline.fem.mass import CONSISTENT_MASS
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports
 from pipeline.mesh.shapes import box
@@ -154,7 +154,7 @@ def measure_spin_energy_growth(axis: np.ndarray, method: MethodSpec, steps: int 
     """Return the kinetic energy after the steps over that at the start; infinity where a step fails."""
     mesh = box((2.0, 24.0, 4.0), (2, 8, 2))
     law = LAWS[method.law].make(Material(1e8, 0.33, 1000.0), ROTATIONS[method.rotation].make)
-    body = Body(mesh, law, Supports(np.zeros(0, np.int64)), np.zeros_like(mesh.points), consistent_mass_pairs)
+    body = Body(mesh, law, Supports(np.zeros(0, np.int64)), np.zeros_like(mesh.points), CONSISTENT_MASS)
     dt = 0.5
     # without the energy guard, which would stop it
     stepper = BackwardEuler(body, dt, make_stage_solver(body, dt, method))
