@@ -1,7 +1,10 @@
 """What `import pipeline` offers: all of it exists, costs little, takes paths as text and shows itself on one line."""
 
+import ast
 import inspect
 import os
+import subprocess
+import sys
 from typing import get_args
 
 import pytest
@@ -46,3 +49,22 @@ def test_objects_are_shown_on_one_line(tmp_path, monkeypatch):
     for shown in (case, problem, result, result.variants[0], series, frame, problem.body.mesh):
         assert "\n" not in repr(shown) and len(repr(shown)) < 300, type(shown)
     assert "<b>" in case._repr_html_() and "<" in series._repr_html_()
+
+
+def test_names_are_imported_when_they_are_used():
+    tree = ast.parse(inspect.getsource(pipeline))
+    typed = {
+        alias.asname or alias.name: f"{node.module}:{alias.name}"
+        for block in tree.body
+        if isinstance(block, ast.If)
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    typed["__version__"] = "pipeline.system.version:VERSION"
+    assert typed == pipeline._PLACES and set(pipeline.__all__) == typed.keys() == set(dir(pipeline))
+    code = "import pipeline, sys; print('numpy' in sys.modules, pipeline.Mesh.__name__, 'numpy' in sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout == "False Mesh True\n"
+    with pytest.raises(AttributeError, match="module 'pipeline' has no attribute 'run_campaign'"):
+        _ = pipeline.run_campaign

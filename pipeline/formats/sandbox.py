@@ -78,7 +78,7 @@ class Reader:
             self.close()
             try:
                 self._child = ChildProcess(
-                    "pipeline.formats.sandbox_child:answer_requests", name="the reader", bare=True, quiet=True
+                    "pipeline.formats.sandbox_child:answer_requests", name="the reader", quiet=True
                 )
             except OutputError as failure:
                 raise error(f"{file}: {failure}") from failure

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from typing import Any
 
 from pipeline.errors import OutputError
@@ -14,25 +13,15 @@ from pipeline.system.channel import ASKING_TO_END, BEGIN, Channel
 from pipeline.system.threads import make_thread_environment
 
 _PIPE_BYTES = 1 << 20  # messages that wait; Linux gives no more to every user
-# the package without the imports of its __init__, which take longer than the rest of a start
-_BARE_PACKAGE = """
-import sys, types
-package = types.ModuleType("pipeline")
-package.__path__ = [{folder!r}]
-sys.modules["pipeline"] = package
-"""
 
 
-def make_command(code: str, *arguments: str, bare: bool = False) -> list[str]:
+def make_command(code: str, *arguments: str) -> list[str]:
     """Return the command of a Python process that runs `code` with the sys.path of this one.
 
-    The working folder is not searched unless it is in sys.path: its files may have the name of any module. A `bare`
-    process has an empty `pipeline` package, of which it can import modules but no names.
+    The working folder is not searched unless it is in sys.path: its files may have the name of any module.
     """
     paths = [path for path in sys.path if isinstance(path, str)]  # Python ignores other entries
     start = f"import sys; sys.path[:] = {paths!r}\n"
-    if bare:
-        start += _BARE_PACKAGE.format(folder=str(Path(__file__).resolve().parent.parent))
     return [sys.executable, "-P", "-c", start + code, *arguments]
 
 
@@ -44,14 +33,12 @@ class ChildProcess:
     Raises OutputError if the process, `name` in messages, cannot be started.
     """
 
-    def __init__(
-        self, function: str, *, name: str, keep: int | None = None, bare: bool = False, quiet: bool = False
-    ) -> None:
+    def __init__(self, function: str, *, name: str, keep: int | None = None, quiet: bool = False) -> None:
         code = f"from {Channel.__module__} import serve; serve({function!r})"
         try:
             with _block_signals():
                 self.process = subprocess.Popen(
-                    make_command(code, bare=bare),
+                    make_command(code),
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=subprocess.DEVNULL if quiet else None,

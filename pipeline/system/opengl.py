@@ -80,7 +80,7 @@ def _probe(window: str) -> str | None:
     environment.pop("PYTHONFAULTHANDLER", None)  # its traces would hide the reason
     try:
         child = subprocess.run(
-            make_command(_PROBE, window, bare=True),
+            make_command(_PROBE, window),
             env=environment,
             stdin=subprocess.DEVNULL,
             capture_output=True,
