@@ -12,14 +12,14 @@ def deformation_gradient(mesh: Mesh, x: Floats) -> Floats:
 
 
 def nodal_sums(mesh: Mesh, per_corner: Floats) -> Floats:
-    """Return the sum over cells of what each gives its corners: (e, d + 1, k) -> (n, k)."""
+    """Return the sums at the nodes of values per cell and corner: (e, d + 1, k) -> (n, k)."""
     n, k = len(mesh.points), per_corner.shape[-1]
     dofs = (k * mesh.cells[:, :, None] + np.arange(k)).ravel()
     return np.asarray(np.bincount(dofs, weights=per_corner.ravel(), minlength=n * k), np.float64).reshape(n, k)
 
 
 def nodal_forces(mesh: Mesh, P: Floats) -> Floats:
-    """Return f_a = -sum V P grad N_a (n, d) [N] of the first Piola-Kirchhoff stresses P (e, d, d) [Pa]."""
+    """Return the nodal forces f_a = -sum V P grad N_a (n, d) [N] of first Piola-Kirchhoff stresses P (e, d, d) [Pa]."""
     return nodal_sums(mesh, -mesh.rest_volumes[:, None, None] * (mesh.shape_gradients @ np.swapaxes(P, 1, 2)))
 
 

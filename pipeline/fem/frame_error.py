@@ -1,10 +1,10 @@
-r"""How wrong a solve is that used rotations U where it reached R: one number, spurious volume and stray stress.
+r"""The error of a solve that used the rotations U and reached R: one number from spurious volume and stray stress.
 
-    spurious volume   tan^2 of the angle between U and R: what the frozen frame adds to a cell free of strain
-    stray stress      w |P(F, R) - P(F, U)| / (2 mu + lam): the strain that the solve balanced and the cell has not
+    spurious volume   tan^2 of the angle between U and R: the error of the frozen frame in an unstrained cell
+    stray stress      w |P(F, R) - P(F, U)| / (2 mu + lam): the strain that the solve balanced but the cell lacks
 
-In a cell free of strain the second is about the first; in a strained one that turns it is the larger: strain times
-angle. The indicator is the larger of the two, in the worst cell. The weight w is 4/3 in space and 8/3 in the plane.
+In an unstrained cell the two are about equal; in a strained cell that rotates the second is larger, strain times angle.
+The indicator is the larger of the two in the worst cell. The weight w is 4/3 in space and 8/3 in the plane.
 """
 
 from typing import NamedTuple
@@ -15,13 +15,13 @@ from pipeline.arrays import Floats
 from pipeline.fem.laws import Law
 from pipeline.fem.material import Material
 
-# by measurement: what keeps whole runs of the scenes here within twice the tolerance. A cantilever of triangles, which
-# swings for 180 steps of backward Euler, strayed by 3.4 times with 4/3 and 2.3 times with 2, by 1.8 times with 8/3
+# measured: whole runs of the scenes here stay within twice the tolerance. A cantilever of triangles that swings for 180
+# steps of backward Euler exceeded it by a factor of 3.4 with 4/3, 2.3 with 2 and 1.8 with 8/3
 _WEIGHT = {2: 8 / 3, 3: 4 / 3}
 
 
 class FrameError(NamedTuple):
-    """The indicator of (used, reached), and the spurious volume of (I, reached): what the linear law would have."""
+    """The indicator of (used, reached), and the spurious volume of (I, reached), which is that of the linear law."""
 
     indicator: float
     from_rest: float
@@ -34,14 +34,14 @@ def spurious_volume(trace: float, d: int) -> float:
 
 
 def indicator(trace: float, d: int, stress: float, material: Material) -> float:
-    """Return the larger of spurious volume, by the least trace of U^T R, and stray stress, by `stress` [Pa]."""
+    """Return the larger of spurious volume, from the smallest tr(U^T R), and stray stress, from `stress` [Pa]."""
     return max(spurious_volume(trace, d), _WEIGHT[d] * stress / (2 * material.mu + material.lam))
 
 
 def measure_frame_error(law: Law, F: Floats, used: Floats | None, reached: Floats) -> FrameError:
-    """Write the rotations of the gradients F (e, d, d) into reached; return their turning from those used.
+    """Write the rotations of the gradients F (e, d, d) into reached; return their error against those used.
 
-    None stands for identities.
+    `used` = None means identities.
     """
     d = F.shape[-1]
     U = np.broadcast_to(np.eye(d) if used is None else used, F.shape)

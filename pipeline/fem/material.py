@@ -1,4 +1,4 @@
-"""The isotropic material of small strains."""
+"""The isotropic elastic material."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 class Material:
     """Young's modulus [Pa], Poisson's ratio [1] and density [kg/m3; kg/m2 of a planar body of unit thickness].
 
-    In the plane the body is in plane strain: the Lame parameters are those of space.
+    A planar body is in plane strain: the Lame parameters are the three-dimensional ones.
     """
 
     youngs_modulus: float

@@ -1,4 +1,4 @@
-"""Natural frequencies of a body at rest, from K u = omega^2 M u on its free nodes."""
+"""Natural frequencies of a body at rest: K u = omega^2 M u on its free nodes."""
 
 import numpy as np
 from scipy.linalg import eigh
@@ -10,24 +10,24 @@ from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.mesh.simplex import component_labels
 
-# rigid modes of a free body come out as rounding: omega^2 below this part of (wave speed / size)^2
+# omega^2 of a rigid mode is rounding: below this part of (wave speed / size)^2
 _RIGID = 1e-6
 
 
 def lowest_frequencies(body: Body, count: int = 1) -> tuple[Floats, Floats]:
-    """Return the lowest elastic frequencies (count,) [rad/s] and their modes (count, n, d), M-normalised.
+    """Return the lowest elastic frequencies (count,) [rad/s] and their modes (count, n, d), M-normalized.
 
-    Rigid modes of bodies that are not held are left out. Raises SolveError where the iteration does not converge.
+    Rigid modes of unsupported bodies are left out. Raises SolveError if the iteration does not converge.
     """
-    K, M = _free_matrices(body)
+    K, M = _assemble_free_matrices(body)
     d = body.mesh.dimension
     scale = (body.material.wave_speed / body.mesh.size) ** 2
     extra = d * (d + 1) // 2 * component_labels(body.mesh)[0]
     wanted = count + extra
     if wanted >= K.shape[0] - 1:
-        values, vectors = _dense(K, M)
+        values, vectors = _solve_dense(K, M)
     else:
-        shift = -1e-3 * scale  # below the rigid modes' zero, so that K - shift M can be factored
+        shift = -1e-3 * scale  # negative, below the rigid modes, so that K - shift M can be factored
         try:
             inverse = splu((K - shift * M).tocsc()).solve
             operator = LinearOperator(K.shape, matvec=inverse, dtype=np.float64)
@@ -41,12 +41,12 @@ def lowest_frequencies(body: Body, count: int = 1) -> tuple[Floats, Floats]:
     return np.sqrt(values[elastic]), modes
 
 
-def _free_matrices(body: Body) -> tuple[csc_array, csc_array]:
+def _assemble_free_matrices(body: Body) -> tuple[csc_array, csc_array]:
     pattern = body.free_pattern
     _, K = body.linearize(body.mesh.points)
     return csc_array(pattern.matrix(K[: pattern.blocks])), csc_array(pattern.matrix(body.mass[: pattern.blocks]))
 
 
-def _dense(K: csc_array, M: csc_array) -> tuple[Floats, Floats]:
+def _solve_dense(K: csc_array, M: csc_array) -> tuple[Floats, Floats]:
     values, vectors = eigh(K.toarray(), M.toarray())
     return values, vectors

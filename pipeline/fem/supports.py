@@ -1,4 +1,4 @@
-"""Supports: nodes whose positions are given, at rest or moving rigidly."""
+"""Supports: nodes with prescribed positions, fixed or moving."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ from pipeline.arrays import Floats, Ints
 
 @dataclass(frozen=True, eq=False)
 class RigidMotion:
-    """A rigid motion: translation at `velocity` [m/s] and turning about `center` at `rate` [rad/s] around `axis`.
+    """A rigid motion: translation at `velocity` [m/s] and rotation about `center` at `rate` [rad/s] around `axis`.
 
-    In the plane the axis is (0, 0, 1), or its opposite, and center and velocity have two components.
+    In the plane the axis is (0, 0, 1) or (0, 0, -1), and center and velocity have two components.
     """
 
     velocity: Floats
@@ -22,7 +22,7 @@ class RigidMotion:
     center: Floats
 
     def positions(self, X: Floats, time: float) -> Floats:
-        """Return where the points X (k, d) are at a time [s]; exact, not integrated."""
+        """Return the positions of the points X (k, d) at a time [s]; exact, not integrated."""
         R = rotation_about(self.axis, self.rate * time)[: X.shape[1], : X.shape[1]]
         return self.center + (X - self.center) @ R.T + self.velocity * time
 
@@ -34,10 +34,10 @@ class RigidMotion:
 
 
 class Motion(Protocol):
-    """The motion of some held nodes."""
+    """The prescribed motion of some held nodes."""
 
     def positions(self, X: Floats, time: float) -> Floats:
-        """Return where the points X (k, d) are at a time [s]."""
+        """Return the positions of the points X (k, d) at a time [s]."""
         ...
 
     def velocities(self, X: Floats) -> Floats:
@@ -47,13 +47,13 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PrescribedMotion:
-    """A displacement u(X, t) (k, d) [m] that is zero at t = 0; the initial velocity is u(X, dt) / dt for a small dt."""
+    """A displacement u(X, t) (k, d) [m], zero at t = 0; the initial velocity is u(X, dt) / dt for a small dt."""
 
     displacement: Callable[[Floats, float], Floats]
     dt: float
 
     def positions(self, X: Floats, time: float) -> Floats:
-        """Return where the points X (k, d) are at a time [s]."""
+        """Return the positions of the points X (k, d) at a time [s]."""
         return X + self.displacement(X, time)
 
     def velocities(self, X: Floats) -> Floats:
@@ -63,7 +63,7 @@ class PrescribedMotion:
 
 @dataclass(frozen=True, eq=False)
 class Supports:
-    """Held nodes (k,), ascending, and the motions of some of them; a node without one stays at its rest position."""
+    """Held nodes (k,), ascending, and the motions of some of them; the others stay at their rest positions."""
 
     nodes: Ints
     motions: Sequence[tuple[Ints, Motion]] = ()

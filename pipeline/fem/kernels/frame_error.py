@@ -1,6 +1,6 @@
-"""Compiled: how far rotations that a solve used are from those it reached; what `turning` in body.py says in numpy.
+"""Compiled: the error of the rotations that a solve used; see fem/frame_error.py for numpy.
 
-Numba notices changes of this file, not of those whose functions are compiled into these: `make clean` after one.
+Numba does not notice changes of rotation.py and tetrahedron.py, which are compiled into this file: `make clean`.
 """
 
 import numpy as np
@@ -14,8 +14,8 @@ from pipeline.fem.kernels.tetrahedron import _gradients, _stresses
 def measure_frame_error(x, cells, G, mu, lam, used, reached):
     """Write the polar rotations R into reached (e, 3, 3); return three numbers over all cells.
 
-    They are the least tr(U^T R), the largest |P(F,R) - P(F,U)|, and the least tr R; traces are NaN where x is. U are
-    the rotations `used` (e, 3, 3), or, where there are none, identities.
+    They are the smallest tr(U^T R), the largest |P(F,R) - P(F,U)| and the smallest tr R; traces are NaN if x has NaN.
+    U are the rotations `used` (e, 3, 3), or identities if `used` is empty.
     """
     F, R, P, W, root, good, C = _lanes()
     U, Q = np.zeros((9, LANES)), np.zeros((9, LANES))
@@ -42,7 +42,7 @@ def measure_frame_error(x, cells, G, mu, lam, used, reached):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def bound_frame_error(x, cells, G, mu, lam):
-    """Return what tan(angle / 2) and |P(F,R) - P(F,I)| do not exceed in any cell, without finding R.
+    """Return upper bounds on tan(angle / 2) and |P(F,R) - P(F,I)| over all cells, without computing R.
 
     With S = sym F, the axial vector a of F - F^T, and s the largest eigenvalue of S, which is at most
     tr S/3 + sqrt(2/3) |dev S|, Horn's equations give tan(angle / 2) <= |a| / (2 (tr S - s)) =: t.

@@ -1,6 +1,6 @@
-"""Compiled: volumes and angles of tetrahedra, what signed_volumes, polar and angle say in many passes of numpy.
+"""Compiled: volumes and rotation angles of tetrahedra in one pass; see mesh/simplex.py and fem/rotation.py for numpy.
 
-Numba notices changes of this file, not of those whose functions are compiled into these: `make clean` after one.
+Numba does not notice changes of rotation.py and tetrahedron.py, which are compiled into this file: `make clean`.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ def volumes_and_angles(x, cells, G, volumes, angles):
         _gradients(x, corners, g, 0, D, F)
         _polar(F, count, R, root, good, C)
         for l in range(count):
-            # D[3 i + k]: component i of edge k, in the order of signed_volumes: the same digits
+            # D[3 i + k] is component i of edge k; the order of signed_volumes gives the same bits
             six = D[0, l] * (D[4, l] * D[8, l] - D[5, l] * D[7, l])
             six -= D[1, l] * (D[3, l] * D[8, l] - D[5, l] * D[6, l])
             six += D[2, l] * (D[3, l] * D[7, l] - D[4, l] * D[6, l])

@@ -1,7 +1,7 @@
-"""Compiled: rotations of deformation gradients, what polar_by_svd and gram_schmidt in rotation.py say in numpy.
+"""Compiled: rotations of deformation gradients; see polar_by_svd and gram_schmidt in fem/rotation.py for numpy.
 
-What is the same arithmetic for every cell runs over LANES cells at once, entries first: F[3 i + j, lane]. The compiler
-makes vector instructions of such loops; cells for which they lose digits are looked at again, one by one.
+Arithmetic that is the same for every cell runs over LANES cells at once, entries first: F[3 i + j, lane]. The compiler
+vectorizes such loops; cells for which they lose digits are computed again, one by one.
 """
 
 import numpy as np
@@ -16,12 +16,12 @@ _SEPARATED = 1e-5
 _NEWTON = 30
 _SWEEPS = 20  # 4 x 4 needs about 5
 _NULL = 1e-14  # as in rotation.py
-_PLAIN = 1e-16  # what the square of a column has to keep, lest it is looked at again
+_PLAIN = 1e-16  # a column that keeps less of its square is computed again, with care
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _quartics(F, C):
-    """Write, a lane, 1/|F| and c1, c0 of det(N - x I) = x^4 - 2 x^2 + c1 x + c0 into C (3, LANES); F is scaled to 1.
+    """Write 1/|F| and c1, c0 of det(N - x I) = x^4 - 2 x^2 + c1 x + c0 into C (3, LANES); F is scaled to 1.
 
     tr(R^T F) = q . N q for the symmetric, traceless N of Horn, so the best quaternion q belongs to the largest root.
     """
@@ -49,7 +49,7 @@ def _quartics(F, C):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _largest_roots(C, root):
-    """Write the largest root of each lane's quartic into root (LANES,): at most sqrt(3), where F is a rotation."""
+    """Write the largest root of each lane's quartic into root (LANES,): at most sqrt(3), reached if F is a rotation."""
     for l in range(LANES):
         root[l] = 1.7320508075688772
     for _ in range(_NEWTON):
@@ -60,7 +60,7 @@ def _largest_roots(C, root):
             value = (x2 - 2.0) * x2 + C[1, l] * x + C[2, l]
             slope = (4.0 * x2 - 4.0) * x + C[1, l]
             step = value / slope if slope > 0.0 else 0.0
-            step = step if step > 1e-15 * x else 0.0  # where it is done it stays, whatever its neighbours need
+            step = step if step > 1e-15 * x else 0.0  # a converged lane stays, whatever the others need
             root[l] = x - step
             moving += 1 if step > 0.0 else 0
         if moving == 0:
@@ -69,9 +69,9 @@ def _largest_roots(C, root):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _null_rotations(F, C, root, R, good):
-    """Write the rotations of the null vectors of N - root I into R (9, LANES), and into good where they are defined.
+    """Write the rotations of the null vectors of N - root I into R (9, LANES), and into good whether they are defined.
 
-    The adjugate of a matrix of rank three is q q^T times a number: the row of its largest diagonal entry is q.
+    The adjugate of a matrix of rank three is a multiple of q q^T: the row of its largest diagonal entry is q.
     1 ulp of the root costs 1/gap ulps of q, which _SEPARATED bounds.
     """
     for l in range(LANES):
@@ -91,7 +91,7 @@ def _null_rotations(F, C, root, R, good):
         q01, q23 = m02 * a13 - m01 * a23 - m03 * a12, m12 * b03 - m02 * b13 - m23 * b01
         q02, q03 = m13 * b23 - m23 * b13 + m33 * b12, m22 * b13 - m12 * b23 - m23 * b12
         q12, q13 = m23 * b03 - m03 * b23 - m33 * b02, m02 * b23 - m22 * b03 + m23 * b02
-        # written as choices, not branches: those the compiler can do for many lanes at once
+        # written as selections, not branches, so that the compiler can vectorize them
         best, w, i, j, k = abs(d0), d0, q01, q02, q03
         c = abs(d1) > best
         best, w, i, j, k = abs(d1) if c else best, q01 if c else w, d1 if c else i, q12 if c else j, q13 if c else k
@@ -118,8 +118,8 @@ def _quaternion_rotation(w, x, y, z, R, lane):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def jacobi(A, Q):
-    """Turn the symmetric A (k, k) into its eigenvalues on the diagonal, and write its eigenvectors, columns, into Q."""
-    size = 0.0  # written out, as elsewhere: numpy's functions take the compiler seconds
+    """Diagonalize the symmetric A (k, k) in place: eigenvalues on its diagonal, eigenvectors in the columns of Q."""
+    size = 0.0  # written out, as elsewhere: numpy's functions take seconds to compile
     for p in range(len(A)):
         for q in range(len(A)):
             Q[p, q] = 1.0 if p == q else 0.0
@@ -148,8 +148,8 @@ def jacobi(A, Q):
 def _jacobi_rotation(F, R, lane):
     """Write the closest rotation to one lane of F into that of R, by Jacobi's sweeps on N.
 
-    For the few N whose largest eigenvalue is all but double: any vector of its space is as good, and this finds one.
-    Where F is zero or not finite it is the identity.
+    For the few N whose largest eigenvalue is nearly double: any vector of its space will do, and this finds one. The
+    rotation is the identity if F is zero or not finite.
     """
     largest, finite = 0.0, 0.0
     for k in range(9):
@@ -188,7 +188,7 @@ def _polar(F, count, R, root, good, C):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _orthonormal_columns(F, R, good):
-    """Write the Gram-Schmidt rotations of F (9, LANES) into R, and into good where both columns are long enough."""
+    """Write the Gram-Schmidt rotations of F (9, LANES) into R, and into good whether both columns are long enough."""
     for l in range(LANES):
         largest = 0.0
         for k in range(9):
@@ -215,7 +215,7 @@ def _orthonormal_columns(F, R, good):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _across(a, r, count):
-    """Take the parts along the first `count` rows of r from a (3,); return the length of what is left."""
+    """Subtract the parts along the first `count` rows of r from a (3,); return the remaining length."""
     for k in range(count):
         dot = r[k, 0] * a[0] + r[k, 1] * a[1] + r[k, 2] * a[2]
         for i in range(3):
@@ -225,9 +225,9 @@ def _across(a, r, count):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _orthonormal_columns_of(F, R, lane):
-    """Write the Gram-Schmidt rotation of one lane; a column of which nothing is left is the least parallel axis.
+    """Write the Gram-Schmidt rotation of one lane; a column that vanishes becomes the least parallel axis.
 
-    Where F is zero or not finite it is the identity.
+    The rotation is the identity if F is zero or not finite.
     """
     largest, finite = 0.0, 0.0
     for k in range(9):
@@ -280,7 +280,7 @@ def _rotate(rotation, F, count, R, root, good, C):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _lanes():
-    """Return room for F, R, P (9, LANES) and W (LANES,), and what _polar needs beside: root, good, C."""
+    """Return buffers: F, R, P (9, LANES), W (LANES,), and root, good and C of _polar."""
     F, R, P = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES))
     return F, R, P, np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros((3, LANES))
 

@@ -1,10 +1,11 @@
-"""Compiled: what the exact tangent of the corotational law has beyond the frozen one; laws.py says it in numpy.
+"""Compiled: the difference between the exact and the frozen tangent of the corotational law; see laws.py for numpy.
 
     dF : dP = … + a . H a,   a = axial(R^T dF - dF^T R),   H = mu I + c A^-1,   A = tr(S) I - S
 
-whose factors mu + c / A_i are bounded, and left out if negative, where that is asked for. For dF = du (x) grad N_b, up
-to its sign, q . a = R (q x grad N_b) . du for every q. Numba notices changes of this file, not of
-tetrahedron.py, whose functions are compiled into these: `make clean` after one.
+The factors mu + c / A_i are bounded; `projected` leaves out negative ones. For dF = du (x) grad N_b, up to its sign,
+q . a = R (q x grad N_b) . du for every q.
+
+Numba does not notice changes of rotation.py and tetrahedron.py, which are compiled into this file: `make clean`.
 """
 
 import numpy as np
@@ -27,7 +28,7 @@ def _stretch(F, R, lane, S):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _is_above(A, least):
-    """Return whether the eigenvalues of the symmetric A (3, 3) are above a number: by the minors of A - least I."""
+    """Return whether all eigenvalues of the symmetric A (3, 3) are above `least`, by the minors of A - least I."""
     a, b, c = A[0, 0] - least, A[1, 1] - least, A[2, 2] - least
     d, e, f = A[0, 1], A[0, 2], A[1, 2]
     return a > 0.0 and a * b - d * d > 0.0 and a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e) > 0.0
@@ -35,9 +36,9 @@ def _is_above(A, least):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _factors(A, mu, c, crease, projected, Q, H):
-    """Write H (3, 3) of A, which is overwritten; Q is scratch."""
+    """Write H (3, 3) for A, which is overwritten; Q is scratch."""
     least = max(abs(c) / (crease * mu), 2.2250738585072014e-308)
-    if _is_above(A, max(least, -c / mu) if projected else least):  # nothing to bound or to leave out
+    if _is_above(A, max(least, -c / mu) if projected else least):  # no factor to bound or leave out
         a, b, d = A[1, 1] * A[2, 2] - A[1, 2] ** 2, A[0, 0] * A[2, 2] - A[0, 2] ** 2, A[0, 0] * A[1, 1] - A[0, 1] ** 2
         e, f = A[0, 2] * A[1, 2] - A[0, 1] * A[2, 2], A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1]
         g = A[0, 1] * A[0, 2] - A[0, 0] * A[1, 2]
@@ -58,7 +59,7 @@ def _factors(A, mu, c, crease, projected, Q, H):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _cross_gradients(G, R, lane, w):
-    """Write R (q x grad N_b) of the four corners and of q = e_0, e_1, e_2, columns, into w (4, 3, 3); sums are zero."""
+    """Write R (q x grad N_b) into w (4, 3, 3): corners b, components, q = e_0, e_1, e_2; corners sum to zero."""
     for i in range(3):
         r0, r1, r2 = R[3 * i, lane], R[3 * i + 1, lane], R[3 * i + 2, lane]
         for b in range(3):
@@ -70,7 +71,7 @@ def _cross_gradients(G, R, lane, w):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
-    """Add scale times the term above to A (blocks, 3, 3); negative factors are left out if projected."""
+    """Add scale times the term above to A (blocks, 3, 3); `projected` leaves out negative factors."""
     F, R, _, _, root, good, C = _lanes()
     S, Q, H, w = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3, 3))
     for first in range(0, len(V), LANES):

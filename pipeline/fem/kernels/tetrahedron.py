@@ -1,11 +1,11 @@
-"""Compiled kernels for tetrahedra under the corotational law, and the linear one, one thread.
+"""Compiled kernels for tetrahedra with the corotational or the linear law, on one thread.
 
-Each does in one pass over the cells what the numpy lines beside it in laws.py and element.py do in many; tests hold the
-two together. Compiled once a machine (cached beside this file), not once a run. `rotation` is POLAR,
-GRAM_SCHMIDT, or, for the linear law, IDENTITY.
+Each does in one pass over the cells the work of laws.py, element.py and assembly.py in numpy; tests compare the two.
+Compiled once per machine (cached beside this file), not once per run. `rotation` is POLAR, GRAM_SCHMIDT or, for the
+linear law, IDENTITY.
 
-Cells are done LANES at once, entries first, as in rotation.py, which finds their rotations; gathering from
-nodes and scattering to them goes cell by cell.
+LANES cells are computed at once, entries first, as in rotation.py, which computes their rotations; gathering from nodes
+and scattering to them goes cell by cell.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ from pipeline.fem.kernels.rotation import LANES, _lanes, _load, _rotate, _store,
 def _gradients(x, cells, G, first, D, F):
     """Write F = sum_a (x_a - x_0) (x) grad N_a of LANES cells from `first` on into F (9, LANES).
 
-    G (9, LANES) are their gradients, entry 3 a + j that of corner a + 1; D (9, LANES) is scratch: the differences.
+    G (9, LANES) are their gradients, entry 3 a + j is component j at corner a + 1; the differences D are scratch.
     """
     for l in range(LANES):
         n0, n1, n2, n3 = cells[first + l, 0], cells[first + l, 1], cells[first + l, 2], cells[first + l, 3]
@@ -72,7 +72,7 @@ def energy(x, cells, G, V, mu, lam, rotation):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _scatter_force(cell, G, volume, P, lane, f):
-    """Add -V P grad N_a to the forces of the cell's corners; they sum to zero. G (9, LANES)."""
+    """Add -V P grad N_a to the forces at the cell's corners, which sum to zero; G is (9, LANES)."""
     last0 = last1 = last2 = 0.0
     for a in range(3):
         g0, g1, g2 = G[3 * a, lane], G[3 * a + 1, lane], G[3 * a + 2, lane]
@@ -133,7 +133,7 @@ def _scatter_stiffness(G, vm, vl, R, lane, blocks, g, A):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
-    """Write forces into f (n, 3), add scale times the frozen stiffness to A (blocks, 3, 3).
+    """Write the forces into f (n, 3) and add scale times the frozen stiffness to A (blocks, 3, 3).
 
     The rotations are Rs (e, 3, 3) if given, else those of x.
     """
@@ -156,7 +156,7 @@ def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def rotations(x, cells, G, rotation, R):
-    """Write the rotation of every cell's F into R (e, 3, 3); return the least trace of them."""
+    """Write the rotation of every cell's F into R (e, 3, 3); return the smallest trace."""
     F, Q, _, _, root, good, C = _lanes()
     least = 3.0
     for first in range(0, len(R), LANES):
