@@ -21,7 +21,7 @@ _PLAIN = 1e-16  # a column that keeps less of its square is computed again, with
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _quartics(F, C):
-    """Write 1/|F| and c1, c0 of det(N - x I) = x^4 - 2 x^2 + c1 x + c0 into C (3, LANES); F is scaled to 1.
+    """Write 1/|F| and c1, c0 of det(N - x I) = x^4 - 2 x^2 + c1 x + c0 per lane into C (3, LANES); F is scaled to 1.
 
     tr(R^T F) = q . N q for the symmetric, traceless N of Horn, so the best quaternion q belongs to the largest root.
     """
