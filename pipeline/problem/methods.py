@@ -1,4 +1,4 @@
-"""The tables: every name that a case may use for a part of its method, what makes that part, and a line about it.
+"""The tables: every name that a case may use for a part of its method, the function that makes it, a line about it.
 
 A new law, rotation, stepper, linear solver or shape is one file and one row here; `pipeline methods`, the schema and
 the checks of a case read these tables.
@@ -73,7 +73,7 @@ MODELS: Mapping[str, ModelMode] = {
 LAWS: Mapping[str, LawChoice] = {
     "linear": LawChoice(
         lambda material, rotation: Linear(material),
-        "small strains and rotations; grows by 1/cos^2 of the angle; one factor for the whole run",
+        "small strains and rotations; grows by 1/cos^2 of the rotation angle; one factor for the whole run",
         is_linear=True,
     ),
     "corotational": LawChoice(Corotational, "linear elasticity in each cell's own rotated frame"),
@@ -95,7 +95,7 @@ STEPPERS: Mapping[str, StepperChoice] = {
     ),
     "bdf2": StepperChoice(
         BDF2.make,
-        "implicit, order 2, L-stable, damps far less; remembers one state",
+        "implicit, order 2, L-stable, damps much less; needs the state before",
         order=2,
         is_implicit=True,
     ),
@@ -107,7 +107,7 @@ STEPPERS: Mapping[str, StepperChoice] = {
     ),
 }
 IMPLICIT_STEPPERS = tuple(name for name, row in STEPPERS.items() if row.is_implicit)
-# of steppers that are stable only below a step [s]: a bound that accepts at once, and the limit itself
+# of steppers that are stable only below a step [s]: a cheap lower bound of the limit, and the limit itself
 STEP_LIMITS: Mapping[str, tuple[Callable[[Body], float], Callable[[Body], float]]] = {
     "symplectic_euler": (element_limit, true_limit),
 }
@@ -117,7 +117,7 @@ MODE_FACTORS: Mapping[str, Callable[[float], complex]] = {
     "bdf2": bdf2.mode_factor,
 }
 ITERATIONS: Mapping[str, str] = {
-    "1, 2, …": "solves a step, each with the rotations before it; 1 is the thesis' method",
+    "1, 2, …": "solves per step, each with the rotations reached before; 1 is the thesis' method",
     "converged": "Newton to method.tolerance; energy bounded; needs the polar rotation",
 }
 TANGENTS: Mapping[str, str] = {
@@ -127,25 +127,26 @@ TANGENTS: Mapping[str, str] = {
 }
 MASSES: Mapping[str, Choice[MassModel]] = {
     "consistent": Choice(CONSISTENT_MASS, "the element's own mass matrix"),
-    "lumped": Choice(LUMPED_MASS, "the same mass on the nodes: a diagonal; what symplectic_euler takes"),
+    "lumped": Choice(LUMPED_MASS, "the same mass on the nodes: a diagonal matrix; symplectic_euler needs it"),
 }
-# None: the law's own rotation
+# None: the law treats inverted cells itself
 INVERSIONS: Mapping[str, Choice[Callable[[], Treatment] | None]] = {
     "flip": Choice(None, "inverted cells: the smallest singular value is negative; no history"),
-    "last": Choice(Last, "inverted cells: the rotation from before; for one solve"),
-    "crossing": Choice(Crossing, "inverted cells: the direction that collapsed is negative; for one solve"),
+    "last": Choice(Last, "inverted cells: keep the rotation from before the inversion; for one solve per step"),
+    "crossing": Choice(Crossing, "inverted cells: the direction that collapsed is negative; for one solve per step"),
 }
-# None: linear/choice.py names one of the others, by size
+# None: linear/choice.py chooses one of the others by size
 LINEAR_SOLVERS: Mapping[str, Choice[Callable[[SystemSettings], LinearSolver] | None]] = {
     "auto": Choice(
         None, "by size: banded for small meshes, then warped, then multigrid; for the linear law pardiso or superlu"
     ),
     "warped": Choice(
         make_warped_cg,
-        "conjugate gradients with the rest state's factor turned along, to method.linear_rtol; larger meshes",
+        "conjugate gradients to method.linear_rtol, preconditioned by the rest state's factor rotated along",
     ),
     "multigrid": Choice(
-        make_multigrid_cg, "as warped, with a multigrid cycle for the factor: less memory, quick set-up; large meshes"
+        make_multigrid_cg,
+        "as warped, with a multigrid cycle instead of the factor: less memory, quick set-up; large meshes",
     ),
     "banded": Choice(BandedCholesky, "Cholesky of the band, factors every new matrix; fastest on small meshes"),
     "superlu": Choice(SuperLU, "sparse direct, factors every new matrix"),
@@ -157,11 +158,11 @@ LINEAR_SOLVERS: Mapping[str, Choice[Callable[[SystemSettings], LinearSolver] | N
 }
 SPLITS: Mapping[str, str] = {
     "kuhn": "every cell along the same diagonal",
-    "alternating": "every other cell mirrored: no bias of direction, less locking",
+    "alternating": "every other cell mirrored: no preferred direction, less locking",
 }
 SHAPES: Mapping[str, Choice[Callable[[Sequence[float], Sequence[int], str], Mesh]]] = {
-    "box": Choice(box, "tetrahedra, 6 a cell"),
-    "rectangle": Choice(rectangle, "triangles, 2 a cell; plane strain"),
+    "box": Choice(box, "tetrahedra, 6 per cell"),
+    "rectangle": Choice(rectangle, "triangles, 2 per cell; plane strain"),
 }
 
 

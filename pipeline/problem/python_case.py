@@ -17,7 +17,7 @@ from pipeline.mesh.cleanup import orient_cells
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.problem import build_mesh
 
-_SAMPLES = 16  # times at which a function is evaluated to tell whether it is the same one as before
+_SAMPLES = 16  # times at which a function is evaluated: its values say whether it is the same as before
 
 
 def make_case(

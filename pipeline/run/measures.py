@@ -1,4 +1,4 @@
-"""The numbers of one frame, and the table of every variable that files and datasets carry.
+"""The numbers of one frame, and the table of every variable in files and datasets.
 
 Pure functions: sinks measure the frames of a run with them, and an analysis those of any other series.
 """

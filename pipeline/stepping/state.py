@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 from pipeline.arrays import Floats
@@ -17,7 +16,7 @@ class EnergyRecord(NamedTuple):
     strikes: int
 
 
-NO_ARRAYS: Mapping[str, Floats] = MappingProxyType({})
+NO_ARRAYS: Mapping[str, Floats] = {}
 
 
 class Memory(NamedTuple):

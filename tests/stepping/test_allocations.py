@@ -1,4 +1,4 @@
-"""A step works in room made once: beyond the state that it returns it allocates nothing that grows with the mesh."""
+"""A step works in buffers allocated once: beside the state that it returns, it allocates nothing that grows."""
 
 import ast
 import tracemalloc
@@ -30,19 +30,19 @@ SMALL = 22_000  # bytes: numbers, names and views, and the lanes of a kernel (14
 def test_an_implicit_step_allocates_its_state(cases_folder, method: dict, stepper: str, solver: str) -> None:
     keys = {"mesh.cells": CELLS, "method.linear_solver": solver, "method.stepper": stepper}
     keys |= {f"method.{key}": value for key, value in method.items()}
-    check(build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant("polar")))
+    check_allocations(build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant("polar")))
 
 
 @pytest.mark.parametrize("variant", ["linear", "polar", "gram_schmidt"])
 def test_an_explicit_step_allocates_its_state(cases_folder, variant: str) -> None:
     keys = {"mesh.cells": CELLS, "schedule.dt": 1e-4, "method.stepper": "symplectic_euler", "method.mass": "lumped"}
-    check(build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant(variant)))
+    check_allocations(build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant(variant)))
 
 
 @pytest.mark.parametrize("variant", ["linear", "polar"])
 def test_a_step_with_supports_that_move_allocates_its_state(cases_folder, variant: str) -> None:
     keys = {"mesh.cells": CELLS, "supports": [{"plane": "y", "at": 12.0, "motion": MOTION}]}
-    check(build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant(variant)), held=8)
+    check_allocations(build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant(variant)), held=8)
 
 
 KERNELS = sorted((Path(__file__).parents[2] / "pipeline").glob("*/kernels/*.py"))
@@ -50,18 +50,18 @@ CONSTANTS = {"LANES", "d", "np"}  # cells at once, and the dimension
 
 
 @pytest.mark.parametrize("path", KERNELS, ids=lambda path: path.stem)
-def test_kernels_allocate_what_does_not_grow(path: Path) -> None:
-    """What numba allocates tracemalloc does not see."""
-    found = kernel_allocations(path.read_text())
+def test_kernels_allocate_nothing_that_grows(path: Path) -> None:
+    """tracemalloc does not see allocations of numba."""
+    found = find_allocations(path.read_text())
     assert [line for line, names in found if names - CONSTANTS] == []
 
 
 def test_an_allocation_in_a_kernel_is_seen() -> None:
     source = "a = np.empty((9, LANES))\nb = np.zeros_like(x)\nc = x.copy(), np.empty(len(x))\n"
-    assert [line for line, names in kernel_allocations(source) if names - CONSTANTS] == [2, 3, 3]
+    assert [line for line, names in find_allocations(source) if names - CONSTANTS] == [2, 3, 3]
 
 
-def kernel_allocations(source: str) -> list[tuple[int, set[str]]]:
+def find_allocations(source: str) -> list[tuple[int, set[str]]]:
     """The lines of calls that make arrays, and the names that their sizes depend on."""
     makers = {"empty", "zeros", "ones", "full", "empty_like", "zeros_like", "ones_like", "full_like", "copy", "array"}
     calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
@@ -69,8 +69,8 @@ def kernel_allocations(source: str) -> list[tuple[int, set[str]]]:
     return sorted((c.lineno, {n.id for n in ast.walk(c) if isinstance(n, ast.Name)}) for c in made)
 
 
-def check(problem, *, held: int = 0) -> None:
-    """`held` vectors of the held nodes alone are let pass."""
+def check_allocations(problem, *, held: int = 0) -> None:
+    """Also allows `held` vectors of the held nodes."""
     room = SMALL + held * problem.start.x[problem.body.supports.nodes].nbytes
     stepper = problem.prepare()
     state = problem.start

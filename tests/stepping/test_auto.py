@@ -1,4 +1,4 @@
-"""model = "auto": no accepted step has more spurious volume than asked for, and the cheapest rung that keeps it."""
+"""model = "auto": every accepted step keeps the tolerance on spurious volume, and takes the cheapest rung that does."""
 
 from collections import Counter
 from functools import partial
@@ -85,7 +85,7 @@ def test_the_compiled_bound_of_angles_is_that_of_its_formula(turn: float) -> Non
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_what_is_not_a_number_has_turned_without_bound(d: int) -> None:
+def test_the_frame_error_of_nan_is_infinite(d: int) -> None:
     body = solid(box([1.0, 1.0, 1.0], [2, 2, 2]) if d == 3 else rectangle([1.0, 1.0], [3, 3]), "corotational", held=[])
     x = body.mesh.points.copy()
     x[-1, 0] = np.nan
@@ -97,8 +97,8 @@ def test_what_is_not_a_number_has_turned_without_bound(d: int) -> None:
 
 
 @pytest.mark.parametrize(("velocity", "rungs"), [(-1.0, {(0, 1): 40}), (-20.0, {(0, 1): 36, (1, 1): 3, (1, 2): 1})])
-def test_a_calm_bar_is_solved_linearly_and_a_livelier_one_where_it_must(velocity: float, rungs: dict) -> None:
-    # the counts of method.md, section 3; (rung, solves) of 40 steps
+def test_a_calm_bar_is_solved_linearly_and_a_faster_one_by_higher_rungs(velocity: float, rungs: dict) -> None:
+    # (rung, solves) of 40 steps
     _, *steps = run("bar", "polar", model="auto", frames=40, velocity=velocity)
     assert Counter((frame.known["rung"].item(), frame.work.iterations) for frame in steps) == rungs
 
@@ -142,12 +142,12 @@ def test_auto_needs_an_implicit_stepper() -> None:
         list(run("beam2d", "explicit", model="auto"))
 
 
-def test_auto_is_watched_whatever_iterations_the_case_had() -> None:
+def test_auto_is_guarded_whatever_the_iterations_of_the_case() -> None:
     case = load_case(CASES / "twisted_bar.toml", overrides={"method.model": "auto"}).variant("converged")
     assert isinstance(build(case).prepare(), EnergyGuard)
 
 
-def test_what_every_step_needed_is_recorded_plotted_and_made_again_from_frames(tmp_path) -> None:
+def test_the_choice_of_every_step_is_recorded_plotted_and_read_back_from_frames(tmp_path) -> None:
     overrides = {"method.model": "auto", "schedule.steps_per_frame": 3, "schedule.frames": 8}
     case = load_case(CASES / "bar.toml", overrides=overrides)
     result = run_case(case, tmp_path, variants=["polar", "linear"], movie=False)
@@ -168,7 +168,7 @@ def test_what_every_step_needed_is_recorded_plotted_and_made_again_from_frames(t
     assert result.folder / "effort.png" in result.made
 
 
-def test_recorded_steps_do_not_disturb_what_reads_frames(tmp_path) -> None:
+def test_recorded_choices_do_not_disturb_readers_of_frames(tmp_path) -> None:
     overrides = {"method.model": "auto", "schedule.steps_per_frame": 3, "schedule.frames": 4}
     case = load_case(CASES / "bar.toml", overrides=overrides)
     folder = run_case(case, tmp_path, variants=["polar", "linear"], movie=False).folder
@@ -179,7 +179,7 @@ def test_recorded_steps_do_not_disturb_what_reads_frames(tmp_path) -> None:
     assert steps.dims == ("time", "step_of_frame") and steps.shape == (5, 3)
 
 
-def test_the_plot_of_efforts_goes_with_the_variants_that_it_shows(tmp_path) -> None:
+def test_the_plot_of_efforts_is_removed_with_the_variants_that_it_shows(tmp_path) -> None:
     keys = {"schedule.frames": 2, "mesh.cells": [1, 2, 1]}
     run = partial(run_case, out=tmp_path, variants=["polar"], movie=False, force=True)
     folder = run(load_case(CASES / "bar.toml", overrides=keys | {"method.model": "auto"})).folder

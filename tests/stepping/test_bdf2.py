@@ -25,7 +25,7 @@ def root(z: float) -> complex:
 @pytest.mark.parametrize("mode", [0, 3])
 @pytest.mark.parametrize("z", [0.02, 0.73, 20.0])
 def test_a_mode_decays_and_lags_by_the_larger_root(mode, z):
-    """w = omega q + i q' of one mode, started on the branch of the larger root, which the formula squared holds."""
+    """w = omega q + i q' of one mode, started on the branch of the larger root, for which the squared formula holds."""
     body = clamped_bar()
     found, shapes = lowest_frequencies(body, mode + 1)
     omega, shape = found[mode], shapes[mode]
@@ -33,7 +33,7 @@ def test_a_mode_decays_and_lags_by_the_larger_root(mode, z):
     G = root(z)
     assert mode_factor(z) == pytest.approx(G.conjugate(), rel=1e-12)
     assert abs((1.5 - 2 / G + 1 / (2 * G**2)) ** 2 + z**2) < 1e-12 * max(1.0, z**2)
-    # 1e3 sqrt(kg) m: metres, so that what is left of it after some steps is far above the rounding of X
+    # 1e3 sqrt(kg) m: meters, so that the rest of it after some steps is far above the rounding of X
     w = [1e3 * omega * (1 + 3j), 1e3 * omega * (1 + 3j) * G]
     (x_before, v_before), (x, v) = ((X + one.real / omega * shape, one.imag * shape) for one in w)
     prepared = stepper(body, z / omega, stepper="bdf2")
@@ -45,7 +45,7 @@ def test_a_mode_decays_and_lags_by_the_larger_root(mode, z):
         assert np.angle(w[-2] / w[-1]) == pytest.approx(-np.angle(G), rel=1e-10)
 
 
-def test_bdf2_damps_by_the_fourth_power_of_the_step_where_backward_euler_damps_by_its_square():
+def test_bdf2_damps_by_the_fourth_power_of_the_step_and_backward_euler_by_its_square():
     z = np.array([0.02, 0.01])
     lost = 1 - np.abs([root(one) for one in z])
     assert np.log2(lost[0] / lost[1]) == pytest.approx(4.0, abs=0.01)
@@ -63,7 +63,7 @@ def test_the_first_step_is_backward_eulers(method, iterations):
     assert np.array_equal(one.x, other.x) and np.array_equal(one.v, other.v)
 
 
-def swinging(d: int) -> tuple:
+def make_swinging_beam(d: int) -> tuple:
     """A clamped beam, two cells long, in its lowest mode: its tip swings by almost half its length.
 
     So few cells have no motion that the steps below do not resolve.
@@ -75,8 +75,8 @@ def swinging(d: int) -> tuple:
 
 
 def end(d: int, name: str, iterations: object, n: int) -> np.ndarray:
-    """Where the beam is after a radian of its phase in n steps."""
-    body, omega, v = swinging(d)
+    """The beam's positions after a radian of its phase in n steps."""
+    body, omega, v = make_swinging_beam(d)
     return motion(body, 1 / omega / n, n, v, stepper=name, iterations=iterations)[-1].x
 
 
@@ -105,7 +105,7 @@ def test_bdf2_is_of_order_two_and_backward_euler_of_order_one(d, iterations):
 
 @ITERATIONS
 def test_free_fall_is_exact_but_for_its_first_step(iterations):
-    """x = x0 + v0 t + g t^2/2, and what the first step of backward Euler added: g dt^2/2 (1 + 1/3 + 1/9 …) in x."""
+    """x = x0 + v0 t + g t^2/2, plus the error of the first step of backward Euler: g dt^2/2 (1 + 1/3 + 1/9 …) in x."""
     mesh, dt = box((2.0, 3.0, 1.0), (2, 3, 1)), 0.03
     g = np.array([0.0, 0.0, -9.81])
     body = solid(mesh, load=1000.0 * mesh.node_volumes[:, None] * g, **METHODS["polar"])
@@ -119,16 +119,16 @@ def test_free_fall_is_exact_but_for_its_first_step(iterations):
 
 @ITERATIONS
 @pytest.mark.parametrize("variant", ["linear", "polar"])
-def test_held_nodes_stay_and_moved_ones_are_where_their_motion_says_to_the_bit(tmp_path, variant, iterations):
+def test_held_nodes_stay_and_moved_ones_follow_their_motion_to_the_bit(tmp_path, variant, iterations):
     moved = {"velocity": [0.3, 0.0, 0.0], "spin": {"axis": [0.0, 1.0, 0.0], "rate": 200.0, "center": [0.5, 0.0, 0.5]}}
     supports = [{"plane": "y", "at": 3.0}, {"plane": "y", "at": 0.0, "motion": moved}]
     one = built(tmp_path, variant, supports=supports, method={"stepper": "bdf2", "iterations": iterations})
     X = one.body.mesh.points
-    (nodes, said), *others = one.body.supports.motions
-    assert isinstance(said, RigidMotion) and not others
+    (nodes, moving), *others = one.body.supports.motions
+    assert isinstance(moving, RigidMotion) and not others
     for frame in frames(one):
         assert np.array_equal(frame.x[X[:, 1] == 3.0], X[X[:, 1] == 3.0])
-        assert np.array_equal(frame.x[nodes], said.positions(X[nodes], frame.time))
+        assert np.array_equal(frame.x[nodes], moving.positions(X[nodes], frame.time))
 
 
 @pytest.mark.parametrize("method", ["linear", "polar"])

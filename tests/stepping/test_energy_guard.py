@@ -1,4 +1,4 @@
-"""The energy guard: it stops what blows up, by name and number, and never what is calm."""
+"""The energy guard stops runs that blow up, with numbers in the message, and never calm ones."""
 
 import re
 from pathlib import Path
@@ -25,14 +25,14 @@ BARS = sorted((Path(__file__).resolve().parents[2] / "cases").glob("bar*.toml"))
 VARIANTS = [(path, name) for path in BARS for name in load_case(path).variant_names]
 
 
-def spinning(mesh: Mesh, axis: int) -> tuple[Body, State]:
-    """The free body of method.md 3.4: 10 rad/s about an axis."""
+def make_spinning_body(mesh: Mesh, axis: int) -> tuple[Body, State]:
+    """A free body that spins at 10 rad/s about an axis."""
     body = solid(mesh, **METHODS["polar"])
     return body, State(0, mesh.points, spin(body, 10.0 * np.eye(3)[axis]))
 
 
 def run(one: Problem) -> State:
-    """The end of a problem's schedule, without its frames."""
+    """The last state of a problem's schedule."""
     prepared, state = one.prepare(), one.start
     assert isinstance(prepared, EnergyGuard) or one.method.law == "linear" or one.method.iterations == "converged"
     for _ in range(one.last_step):
@@ -40,14 +40,14 @@ def run(one: Problem) -> State:
     return state
 
 
-# What blows up
+# Runs that blow up
 
 
 @pytest.mark.parametrize("axis", [0, 2])
 @pytest.mark.parametrize("split", ["kuhn", "alternating"])
 def test_a_long_bar_in_fast_spin_is_stopped_while_its_numbers_are_finite(split, axis):
     """Unguarded its energy grew by 7e2 to 3e9 in 100 steps and by 5e24 to 2e31 in 300."""
-    body, state = spinning(box((2.0, 24.0, 4.0), (2, 8, 2), split), axis)
+    body, state = make_spinning_body(box((2.0, 24.0, 4.0), (2, 8, 2), split), axis)
     start = 0.5 * (state.v * body.momentum(state.v)).sum()
     prepared = stepper(body, 0.5)
     said = (
@@ -63,13 +63,13 @@ def test_a_long_bar_in_fast_spin_is_stopped_while_its_numbers_are_finite(split, 
 
 @pytest.mark.parametrize(("size", "axis"), [((4.0, 12.0, 4.0), axis) for axis in range(3)] + [((2.0, 24.0, 4.0), 1)])
 def test_a_spin_that_decays_goes_on(size, axis):
-    body, state = spinning(box(size, (2, 8, 2)), axis)
+    body, state = make_spinning_body(box(size, (2, 8, 2)), axis)
     prepared = stepper(body, 0.5)
     for _ in range(150):
         state, _ = prepared.step(state)
 
 
-def test_the_error_names_step_and_time_and_the_frames_before_it_stand(tmp_path):
+def test_the_error_names_step_and_time_and_the_frames_before_it_are_kept(tmp_path):
     mesh = {"shape": "box", "size": [2.0, 24.0, 4.0], "cells": [2, 8, 2]}
     material = {"youngs_modulus": 1e8, "poisson_ratio": 0.33, "density": 1000.0}
     initial = {"spin": {"axis": [0.0, 0.0, 1.0], "rate": float(np.degrees(10.0))}}
@@ -78,7 +78,7 @@ def test_the_error_names_step_and_time_and_the_frames_before_it_stand(tmp_path):
     got = []
     with pytest.raises(SolveError) as caught:
         got.extend(frames(built(tmp_path, supports=None, loads=None, **sections)))
-    step = len(got)  # frames 0..step - 1 stand
+    step = len(got)  # frames 0..step - 1 were yielded
     assert 15 < step < 50
     assert str(caught.value).endswith(f"(at step {step}, t = {step * 0.5:g} s)")
 
@@ -94,8 +94,8 @@ def test_an_explicit_step_above_the_limit_is_stopped(d, tmp_path):
     assert np.isfinite(state.x).all()
 
 
-class Stopping:
-    """A stepper that gives back the states that it was given, one after the other."""
+class Replay:
+    """A stepper that returns given states, one after the other."""
 
     dt = 0.1
     chooses_model = False
@@ -107,14 +107,14 @@ class Stopping:
         return self.states.pop(0), StepReport(Work(steps=1))
 
 
-def guarded(body: Body, start: float, *speeds: float) -> State:
-    """The end of a guarded body at its rest positions, all free nodes of which have these speeds, step by step."""
+def run_guarded(body: Body, start: float, *speeds: float) -> State:
+    """The last state of a guarded body at rest positions whose free nodes have these speeds, step by step."""
     X = body.mesh.points
     first, *others = (
         State(i, X, np.where(body.free_mask[:, None], speed * np.eye(3)[0], 0.0), Memory({"kept": np.ones(1)}))
         for i, speed in enumerate((start, *speeds))
     )
-    prepared = EnergyGuard(body, Stopping(*others))
+    prepared = EnergyGuard(body, Replay(*others))
     for _ in speeds:
         first, _ = prepared.step(first)
     return first
@@ -122,22 +122,22 @@ def guarded(body: Body, start: float, *speeds: float) -> State:
 
 def test_three_steps_in_a_row_are_too_many_and_two_are_not():
     body = clamped_bar(**METHODS["polar"])
-    memory = guarded(body, 1.0, 5.0, 5.0, 1.0, 5.0, 5.0).memory
+    memory = run_guarded(body, 1.0, 5.0, 5.0, 1.0, 5.0, 5.0).memory
     assert set(memory.stepper) == {"kept"} and memory.energy is not None and memory.energy.strikes == 2
-    guarded(body, 1.0, 3.1, 3.1, 3.1)  # 9.6 times the energy
+    run_guarded(body, 1.0, 3.1, 3.1, 3.1)  # 9.6 times the energy
     v = np.where(body.free_mask[:, None], np.eye(3)[0], 0.0)
     start = 0.5 * (v * body.momentum(v)).sum()
     with pytest.raises(SolveError, match=re.escape(f"{25 * start:.3g} J, more than 10 times the {start:.3g} J")):
-        guarded(body, 1.0, 1.0, 5.0, 5.0, 5.0)
+        run_guarded(body, 1.0, 1.0, 5.0, 5.0, 5.0)
 
 
-def test_a_body_that_starts_with_no_energy_at_all_may_have_that_of_a_strain_of_a_hundred_thousandth():
+def test_a_body_that_starts_without_energy_may_reach_that_of_a_strain_of_a_hundred_thousandth():
     body = clamped_bar(**METHODS["polar"])
     scale = 1e-10 * (body.material.lam + 2 * body.material.mu) * body.mesh.rest_volumes.sum()  # 2.8 J
     speed = np.sqrt(2 * scale / body.lumped_mass[body.free].sum())
-    guarded(body, 0.0, *3 * [3 * speed])
+    run_guarded(body, 0.0, *3 * [3 * speed])
     with pytest.raises(SolveError, match="the step is unstable"):
-        guarded(body, 0.0, *3 * [4 * speed])
+        run_guarded(body, 0.0, *3 * [4 * speed])
 
 
 @pytest.mark.parametrize("broken", ["x", "v"])
@@ -147,14 +147,14 @@ def test_numbers_that_are_not_finite_are_an_error_that_names_step_and_time(tmp_p
     X = one.body.mesh.points
     bad = {"x": X.copy(), "v": 0 * X}
     bad[broken][3, 1] = wrong
-    prepared = Stopping(State(1, X, 0 * X), State(2, **bad))
+    prepared = Replay(State(1, X, 0 * X), State(2, **bad))
     monkeypatch.setattr(Problem, "prepare", lambda problem: prepared)
     said = r"positions are no longer finite at step 2, t = 0\.2 s; try a smaller schedule\.dt than 0\.1"
     with pytest.raises(SolveError, match=said):
         list(frames(one))
 
 
-# What is calm
+# Calm runs
 
 
 @pytest.mark.parametrize(("path", "variant"), VARIANTS, ids=lambda value: getattr(value, "stem", value))
@@ -195,7 +195,7 @@ def test_no_calm_scene_is_stopped(tmp_path, sections, stepper):
 @pytest.mark.parametrize("size", [1.0, 1e-3])
 @pytest.mark.parametrize("name", ["backward_euler", "bdf2", "symplectic_euler"])
 def test_noise_on_a_body_at_rest_is_not_stopped(name, size):
-    """Noise in its positions that a user would not see, from which velocities of another size come."""
+    """Noise in positions that a user would not see causes larger velocities."""
     mesh = box((size, 3 * size, size), (1, 3, 1))
     body = solid(mesh, material=Material(1e7, 0.3, 1000.0), mass="lumped", **METHODS["polar"])
     x = mesh.points + 1e-9 * size * np.random.default_rng(6).standard_normal(mesh.points.shape)
@@ -205,14 +205,14 @@ def test_noise_on_a_body_at_rest_is_not_stopped(name, size):
     assert np.abs(state.x - mesh.points).max() < 1e-6 * size
 
 
-# What it costs
+# Costs
 
 
 @pytest.mark.parametrize("name", ["backward_euler", "bdf2"])
 def test_the_methods_whose_energy_is_bounded_are_not_guarded(name):
-    for method, guarded in (("linear", False), ("polar", True), ("gram_schmidt", True)):
+    for method, is_guarded in (("linear", False), ("polar", True), ("gram_schmidt", True)):
         body = clamped_bar(**METHODS[method])
-        assert isinstance(stepper(body, 0.07, stepper=name), EnergyGuard) == guarded
+        assert isinstance(stepper(body, 0.07, stepper=name), EnergyGuard) == is_guarded
     body = clamped_bar(**METHODS["polar"])
     assert not isinstance(stepper(body, 0.07, stepper=name, iterations="converged"), EnergyGuard)
     assert isinstance(stepper(body, 0.07, stepper=name, iterations=3), EnergyGuard)

@@ -1,4 +1,4 @@
-"""Inverted and collapsed cells: what each treatment makes of them, in one table."""
+"""Inverted and collapsed cells: the outcome of each treatment, in one table."""
 
 from functools import cache
 
@@ -21,7 +21,7 @@ DT, STEPS = 0.07, 100  # backward Euler damps all that moves here within ten ste
 RECOVERS, INVERTED, FINITE = "J = 1", "rests inverted", "finite"
 
 
-def apex(d: int, depth: float) -> tuple[Body, np.ndarray]:
+def make_apex(d: int, depth: float) -> tuple[Body, np.ndarray]:
     """A right simplex of height 1 on a fixed base, its apex below the base."""
     mesh = Mesh(np.concatenate([np.zeros((1, d)), np.eye(d)]), np.arange(d + 1)[None])
     x = mesh.points.copy()
@@ -29,14 +29,14 @@ def apex(d: int, depth: float) -> tuple[Body, np.ndarray]:
     return solid(mesh, held=range(d), **METHODS["polar"]), x
 
 
-def scrambled(seed: int) -> tuple[Body, np.ndarray]:
+def scramble_bar(seed: int) -> tuple[Body, np.ndarray]:
     """The thesis bar with every free node anywhere within 3 m, a cell being 2 m, 1.5 m and 2 m."""
     body = clamped_bar(**METHODS["polar"])
     away = np.random.default_rng(seed).uniform(-3.0, 3.0, body.mesh.points.shape)
     return body, body.mesh.points + np.where(body.free_mask[:, None], away, 0.0)
 
 
-def collapsed(rank: int) -> tuple[Body, np.ndarray]:
+def collapse_bar(rank: int) -> tuple[Body, np.ndarray]:
     """The thesis bar, its free nodes pressed into a plane, onto a line or into a point of the held face."""
     body = clamped_bar(**METHODS["polar"])
     X = body.mesh.points
@@ -47,15 +47,15 @@ def collapsed(rank: int) -> tuple[Body, np.ndarray]:
 
 
 STARTS = {
-    "apex .2": (apex, 3, 0.2),
-    "apex .8": (apex, 3, 0.8),
-    "apex 1.2": (apex, 3, 1.2),
-    "scrambled 0": (scrambled, 0),
-    "scrambled 1": (scrambled, 1),
-    "scrambled 2": (scrambled, 2),
-    "rank 2": (collapsed, 2),
-    "rank 1": (collapsed, 1),
-    "rank 0": (collapsed, 0),
+    "apex .2": (make_apex, 3, 0.2),
+    "apex .8": (make_apex, 3, 0.8),
+    "apex 1.2": (make_apex, 3, 1.2),
+    "scrambled 0": (scramble_bar, 0),
+    "scrambled 1": (scramble_bar, 1),
+    "scrambled 2": (scramble_bar, 2),
+    "rank 2": (collapse_bar, 2),
+    "rank 1": (collapse_bar, 1),
+    "rank 0": (collapse_bar, 0),
 }
 # `last` takes the first rotation of a scrambled cell from the rest shape: it left one cell of 192 at J = -.63
 TABLE = {
@@ -75,7 +75,7 @@ def end(treatment: str, start: str) -> np.ndarray:
     return np.linalg.det(deformation_gradient(body.mesh, states[-1].x))
 
 
-def outcome(J: np.ndarray) -> str:
+def classify(J: np.ndarray) -> str:
     # what is left of the motion after 100 steps that damp it, and of the rounding of F = 0 in a bar of 12 m
     if np.abs(J - 1).max() < 1e-6:
         return RECOVERS
@@ -87,11 +87,11 @@ def outcome(J: np.ndarray) -> str:
 def test_a_start_that_is_inverted_or_collapsed_ends_as_its_treatment_says(treatment, start):
     J = end(treatment, start)
     print(f"{treatment}, {start}: J from {J.min():.4g} to {J.max():.4g}")
-    assert outcome(J) == TABLE[treatment][start]
+    assert classify(J) == TABLE[treatment][start]
 
 
-def test_some_treatment_recovers_every_apex_and_the_rest_inverted_is_where_the_formula_says():
-    recovering = [t for t in TABLE if all(outcome(end(t, s)) == RECOVERS for s in STARTS if s.startswith("apex"))]
+def test_two_treatments_recover_every_apex_and_the_inverted_rest_is_at_its_formula():
+    recovering = [t for t in TABLE if all(classify(end(t, s)) == RECOVERS for s in STARTS if s.startswith("apex"))]
     assert recovering == ["last", "crossing"]
     assert end("flip", "apex 1.2")[0] == pytest.approx(-1.985, abs=5e-4)
 
@@ -99,14 +99,14 @@ def test_some_treatment_recovers_every_apex_and_the_rest_inverted_is_where_the_f
 @pytest.mark.parametrize("treatment", INVERSIONS)
 @pytest.mark.parametrize("depth", [0.2, 0.8, 1.2])
 def test_an_inverted_triangle_recovers_unless_its_height_has_become_its_longer_side(treatment, depth):
-    body, x = apex(2, depth)
+    body, x = make_apex(2, depth)
     last = motion(body, DT, STEPS, np.zeros_like(x), x, inversion=treatment)[-1]
     J = np.linalg.det(deformation_gradient(body.mesh, last.x))[0]
     stays = treatment == "flip" and depth > 1
     assert pytest.approx(AT_REST_INVERTED if stays else 1.0, abs=1e-6) == J
 
 
-def reflecting(F: np.ndarray) -> np.ndarray:
+def reflecting_rotation(F: np.ndarray) -> np.ndarray:
     """T 6.6 and W as printed: the unitary polar factor, which is a reflection where det F < 0."""
     U, _, Vt = np.linalg.svd(F)
     return U @ Vt
@@ -115,21 +115,21 @@ def reflecting(F: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("depth", [0.2, 0.8])
 @pytest.mark.parametrize("d", [2, 3])
 def test_the_reflecting_rotation_keeps_an_inverted_cell_inverted_and_ours_lets_it_recover(d, depth):
-    body, x = apex(d, depth)
+    body, x = make_apex(d, depth)
     ends = {}
-    for rotation in (reflecting, polar):
+    for rotation in (reflecting_rotation, polar):
         law = Corotational(MATERIAL, Rotation(rotation))
         other = Body(body.mesh, law, Supports(body.supports.nodes), body.load, body.mass_model)
         last = motion(other, DT, STEPS, np.zeros_like(x), x)[-1]
         ends[rotation] = np.linalg.det(deformation_gradient(body.mesh, last.x))[0], other.energy(last.x)
     # the mirror image is taken for the rest shape: J = -1 without energy
-    assert ends[reflecting] == pytest.approx((-1.0, 0.0), abs=1e-6)
+    assert ends[reflecting_rotation] == pytest.approx((-1.0, 0.0), abs=1e-6)
     assert ends[polar] == pytest.approx((1.0, 0.0), abs=1e-6)
 
 
 @pytest.mark.parametrize("treatment", [name for name, row in INVERSIONS.items() if row.make])
 @pytest.mark.parametrize("d", [2, 3])
-def test_treatments_are_the_polar_rotation_where_nothing_is_inverted_and_a_rotation_everywhere(d, treatment):
+def test_treatments_are_the_polar_rotation_unless_inverted_and_always_a_rotation(d, treatment):
     rng = np.random.default_rng(4)
     made = INVERSIONS[treatment].make()
     memory = {}
@@ -175,7 +175,7 @@ def test_crossing_forgets_the_direction_of_a_cell_that_has_recovered(d):
 @pytest.mark.parametrize("stepper", ["backward_euler", "bdf2", "symplectic_euler"])
 @pytest.mark.parametrize("treatment", ["last", "crossing"])
 def test_every_stepper_carries_the_memory_of_its_treatment(treatment, stepper):
-    body, x = apex(3, 1.2)
+    body, x = make_apex(3, 1.2)
     dt = 1e-4 if stepper == "symplectic_euler" else 0.01
     states = motion(body, dt, 5, np.zeros_like(x), x, inversion=treatment, stepper=stepper)
     names = {"last": {"rotation_before"}, "crossing": {"gradient_before", "collapsed"}}[treatment]
@@ -185,6 +185,6 @@ def test_every_stepper_carries_the_memory_of_its_treatment(treatment, stepper):
 
 
 def test_the_default_treatment_has_no_memory():
-    body, x = apex(3, 0.5)
+    body, x = make_apex(3, 0.5)
     memory = motion(body, DT, 1, np.zeros_like(x), x)[-1].memory
     assert not memory.inversion and not memory.stepper and memory.energy is not None

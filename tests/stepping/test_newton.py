@@ -1,4 +1,4 @@
-"""The converged stage: its tangent, how fast it converges, what it never does to the energy, and how it gives up."""
+"""The converged stage: its tangent, rate of convergence, bound on the energy, and errors."""
 
 from itertools import pairwise
 
@@ -28,7 +28,7 @@ BEAM = pytest.mark.parametrize("d", BEAMS)
 DT = 0.02
 
 
-def thrown(d: str, speed: float = 20.0) -> tuple[Body, State]:
+def throw_beam(d: str, speed: float = 20.0) -> tuple[Body, State]:
     """A clamped beam, heavy, thrown across its axis: it turns by some 20 degrees in a step of DT."""
     mesh = BEAMS[d]
     held = np.flatnonzero(mesh.points[:, 1] == 3.0)
@@ -39,13 +39,13 @@ def thrown(d: str, speed: float = 20.0) -> tuple[Body, State]:
     return body, State(0, mesh.points, v)
 
 
-def newton(body: Body, **method: object) -> Converged:
+def make_newton(body: Body, **method: object) -> Converged:
     solver = make_stage_solver(body, DT, MethodSpec(iterations="converged", **method))  # type: ignore[arg-type]  # pydantic checks
     assert isinstance(solver, Converged)
     return solver
 
 
-def stage(body: Body, state: State) -> Stage:
+def make_stage(body: Body, state: State) -> Stage:
     """Backward Euler's stage."""
     return Stage(state.x, state.v, DT, state.x, state.x, body.mesh.points[body.supports.nodes], body.load, True)
 
@@ -73,15 +73,15 @@ def test_the_exact_stiffness_is_the_derivative_of_the_forces_wherever_the_body_i
 
 @BEAM
 def test_one_iteration_squares_a_small_error_with_the_exact_tangent_and_scales_it_with_the_frozen_one(d):
-    body, state = thrown(d)
-    asked = stage(body, state)
-    exact, frozen = (newton(body, tangent=name, tolerance=1e-15) for name in ("exact", "frozen"))
-    solution = exact.descend(state.x, asked, 20).x.copy()
+    body, state = throw_beam(d)
+    stage = make_stage(body, state)
+    exact, frozen = (make_newton(body, tangent=name, tolerance=1e-15) for name in ("exact", "frozen"))
+    solution = exact.descend(state.x, stage, 20).x.copy()
     away = np.where(body.free_mask[:, None], RNG.standard_normal(state.x.shape), 0.0)
 
     def orders(solver: Converged) -> np.ndarray:
         sizes = (1e-2, 1e-3, 1e-4)  # [m]; the last squares to 1e-8 of the size, far above the rounding of 1e-15
-        errors = [np.abs(solver.descend(solution + size * away, asked, 1).x - solution).max() for size in sizes]
+        errors = [np.abs(solver.descend(solution + size * away, stage, 1).x - solution).max() for size in sizes]
         return np.log10(np.array(errors[:-1]) / errors[1:])
 
     assert orders(exact)[-1] == pytest.approx(2.0, abs=0.05)
@@ -90,13 +90,13 @@ def test_one_iteration_squares_a_small_error_with_the_exact_tangent_and_scales_i
 
 @BEAM
 def test_residuals_fall_quadratically_with_the_exact_tangent_and_by_a_factor_with_the_frozen_one(d):
-    body, state = thrown(d)
-    asked = stage(body, state)
+    body, state = throw_beam(d)
+    stage = make_stage(body, state)
 
     def residuals(tangent: str) -> np.ndarray:
         # limits of 1, 2, 3, …, until the residual is rounding of the forces
-        solver = newton(body, tangent=tangent, tolerance=1e-15)
-        found = np.array([solver.descend(state.x, asked, limit).residual for limit in range(1, 15)])
+        solver = make_newton(body, tangent=tangent, tolerance=1e-15)
+        found = np.array([solver.descend(state.x, stage, limit).residual for limit in range(1, 15)])
         return found[found > 1e-15]
 
     exact, frozen = residuals("exact"), residuals("frozen")
@@ -111,10 +111,10 @@ def test_residuals_fall_quadratically_with_the_exact_tangent_and_by_a_factor_wit
 @pytest.mark.parametrize("speed", [20.0, 300.0])  # 300 m/s throws the beam twice its length in a step
 @BEAM
 def test_the_potential_never_increases(d, speed, tangent):
-    body, state = thrown(d, speed)
-    asked = stage(body, state)
-    solver = newton(body, tangent=tangent, tolerance=1e-12)
-    phi = np.array([solver.descend(state.x, asked, limit).phi for limit in range(25)])
+    body, state = throw_beam(d, speed)
+    stage = make_stage(body, state)
+    solver = make_newton(body, tangent=tangent, tolerance=1e-12)
+    phi = np.array([solver.descend(state.x, stage, limit).phi for limit in range(25)])
     assert phi[0] == pytest.approx(total_energy(body, state), rel=1e-12)  # at x_n it is the energy before the step
     assert (np.diff(phi) <= 3e-13 * phi[0]).all()  # its terms cancel: digits of the largest
     assert phi[-1] < 0.5 * phi[0]
@@ -124,7 +124,7 @@ def test_the_potential_never_increases(d, speed, tangent):
 @BEAM
 def test_a_step_of_backward_euler_ends_below_the_energy_before_it(d, speed):
     """U_{n+1} + |v_{n+1} - v_n|_M^2 / 2 <= E_n, with the dead load's potential in U."""
-    body, start = thrown(d, speed)
+    body, start = throw_beam(d, speed)
     states = motion(body, DT, 15, start.v, iterations="converged")
     for a, b in pairwise(states):
         change = b.v - a.v
@@ -135,7 +135,7 @@ def test_a_step_of_backward_euler_ends_below_the_energy_before_it(d, speed):
 @pytest.mark.parametrize("kind", ["upside_down", "scrambled"])
 @BEAM
 def test_a_step_from_inverted_cells_is_bounded_by_the_energy_before_it_too(d, kind):
-    body, start = thrown(d, 0.0)
+    body, start = throw_beam(d, 0.0)
     X, n = body.mesh.points, body.free_mask[:, None]
     x = X * ([-0.7] + [1.0] * (int(d[0]) - 1)) if kind == "upside_down" else X + RNG.uniform(-1, 1, X.shape)
     start = State(0, np.where(n, x, X), start.v)
@@ -148,23 +148,23 @@ def test_a_step_from_inverted_cells_is_bounded_by_the_energy_before_it_too(d, ki
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9, 1e-12])
 @BEAM
-def test_the_residual_is_below_the_tolerance_and_no_iteration_is_made_beyond_it(d, tolerance):
-    body, state = thrown(d)
-    asked = stage(body, state)
-    solver = newton(body, tangent="exact", tolerance=tolerance)
-    _, v, report = solver.solve(asked)
+def test_the_iteration_stops_at_the_first_residual_below_the_tolerance(d, tolerance):
+    body, state = throw_beam(d)
+    stage = make_stage(body, state)
+    solver = make_newton(body, tangent="exact", tolerance=tolerance)
+    _, v, report = solver.solve(stage)
     work = report.work
     r = body.load + body.force(state.x + DT * v) - body.momentum(v - state.v) / DT
     sizes = (body.momentum(state.v) / DT, body.load, body.force(state.x + DT * v))
     assert np.linalg.norm(r[body.free]) <= tolerance * sum(np.linalg.norm(s) for s in sizes)
     predictor = state.x + DT * state.v
-    assert not solver.descend(predictor, asked, work.iterations - 1).converged
-    assert solver.descend(predictor, asked, 100).work == work
+    assert not solver.descend(predictor, stage, work.iterations - 1).converged
+    assert solver.descend(predictor, stage, 100).work == work
 
 
 @BEAM
 def test_every_iteration_is_one_factor_and_one_solve_and_a_body_at_rest_needs_none(d):
-    body, state = thrown(d)
+    body, state = throw_beam(d)
     _, report = stepper(body, DT, iterations="converged").step(state)
     work, n = report.work, report.work.iterations
     assert 2 <= n <= 15
@@ -212,8 +212,8 @@ def test_a_spin_of_50_rad_a_step_converges_and_keeps_the_volume(split, axis, ite
 
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("d", [2, 3])
-def test_near_rest_where_the_energy_is_rounding_good_steps_are_taken_whole(d, seed):
-    """Steps were halved for digits that the energy does not have: 20 iterations and more a step, or an error."""
+def test_near_rest_good_steps_are_not_halved_for_rounding_of_the_energy(d, seed):
+    """Otherwise steps are halved for digits that the energy does not have: 20 iterations or more, or an error."""
     mesh = box((4.0, 12.0, 4.0), (2, 8, 2)) if d == 3 else rectangle((4.0, 12.0), (2, 8))
     body = solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), **METHODS["polar"])
     away = np.random.default_rng(seed).uniform(-0.4, 0.4, mesh.points.shape)
@@ -227,9 +227,9 @@ def test_near_rest_where_the_energy_is_rounding_good_steps_are_taken_whole(d, se
     assert np.abs(state.x - mesh.points).max() < 1e-6
 
 
-def test_a_descent_that_finds_no_lower_energy_says_so_and_not_that_iterations_are_missing(monkeypatch):
-    """So it ends on a crease of the energy: a bar of jelly of 10 kPa, one cell at s2 + s3 = 0 and tr S = 10."""
-    body, state = thrown("3D")
+def test_a_descent_that_finds_no_lower_energy_says_so(monkeypatch):
+    """As on a crease of the energy: a bar of jelly of 10 kPa, one cell at s2 + s3 = 0 and tr S = 10."""
+    body, state = throw_beam("3D")
     monkeypatch.setattr(Converged, "_search", lambda self, terms, slope, stage: None)
     said = r"^Newton did not reach 1e-09 in 1 iterations \(residual .*\); no step lowers the energy .* a stiffer body$"
     with pytest.raises(SolveError, match=said):

@@ -1,4 +1,4 @@
-"""What separates the methods in motion: the axes they are told, and the angular momentum they keep."""
+"""Differences between the methods in motion: dependence on the axes, and angular momentum."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def tip_deflection(order: list[int], method: dict[str, str]) -> float:
 @pytest.mark.parametrize(
     ("name", "wanted"), [("polar", (3.1859, 3.1859, 3.1859)), ("gram_schmidt", (2.402, 0.691, 3.881))]
 )
-def test_naming_the_axes_otherwise_changes_gram_schmidt_only(name, wanted):
+def test_permuting_the_axes_changes_gram_schmidt_only(name, wanted):
     found = [tip_deflection(order, METHODS[name]) for order in ORDERS.values()]
     assert found == pytest.approx(wanted, abs=5e-4 + 5e-5)  # half a unit of the printed digits
     if name == "polar":
@@ -63,7 +63,7 @@ def test_gram_schmidt_forces_turn_a_stretched_bar_by_themselves():
 
 @pytest.mark.parametrize("mesh", BOXES.values(), ids=BOXES)
 def test_linear_forces_keep_the_angular_momentum_about_the_rest_shape_and_not_the_true_one(mesh):
-    """Sum of X x M v is conserved, since K takes no notice of a small turn; the sum of x x M v is not."""
+    """Sum of X x M v is conserved, since K does not change under a small rotation; the sum of x x M v is not."""
     body = solid(mesh)
     v = spin(body, np.array([0.0, 0.0, 5.0])) + 5 * np.random.default_rng(5).standard_normal(mesh.points.shape)
     states = motion(body, 0.02, 20, v)
@@ -79,7 +79,7 @@ def test_linear_forces_keep_the_angular_momentum_about_the_rest_shape_and_not_th
 
 @pytest.mark.parametrize("name", ["polar", "gram_schmidt"])
 def test_one_solve_keeps_angular_momentum_only_roughly(name):
-    """Its forces belong to no position; measured: a few per cent in 20 steps of 1/20 rad."""
+    """Its forces belong to no position; measured: a few percent in 20 steps of 1/20 rad."""
     mesh = thesis_bar()
     body = solid(mesh, **METHODS[name])
     states = motion(body, 0.05, 20, spin(body, np.array([0.0, 0.0, 1.0])))

@@ -1,4 +1,4 @@
-"""Symplectic Euler: the limits of its step, what refuses a larger one, momenta, order and the work it leaves undone."""
+"""Symplectic Euler: the limits of its step, refusal of larger ones, momenta, order, and no matrix."""
 
 from collections.abc import Iterator
 
@@ -25,13 +25,13 @@ EXPLICIT = {"stepper": "symplectic_euler"}
 THIN = rectangle((4.0, 12.0), (2, 8))  # the bar in the plane
 
 
-def clamped(d: int, **keywords: object) -> Body:
+def clamp_beam(d: int, **keywords: object) -> Body:
     if d == 3:
         return clamped_bar(mass="lumped", **keywords)
     return solid(THIN, held=np.flatnonzero(THIN.points[:, 1] == 12.0), mass="lumped", **keywords)
 
 
-def states(body: Body, dt: float, x: np.ndarray, v: np.ndarray, steps: int) -> Iterator[State]:
+def iterate_states(body: Body, dt: float, x: np.ndarray, v: np.ndarray, steps: int) -> Iterator[State]:
     """The stepper alone: no limit, no guard."""
     prepared, state = SymplecticEuler(body, dt), State(0, x, v)
     for _ in range(steps):
@@ -39,14 +39,14 @@ def states(body: Body, dt: float, x: np.ndarray, v: np.ndarray, steps: int) -> I
         yield state
 
 
-def turning(body: Body, state: State) -> np.ndarray:
+def angular_momentum(body: Body, state: State) -> np.ndarray:
     """The angular momentum about the origin; one component in the plane."""
     x, p = state.x, body.lumped_mass[:, None] * state.v
     return np.cross(x, p).sum(axis=0) if x.shape[1] == 3 else np.array((x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0]).sum())
 
 
 def test_the_thesis_bar_has_its_known_limits():
-    body = clamped(3)
+    body = clamp_beam(3)
     assert true_limit(body) == pytest.approx(2.895e-3, abs=5e-7)
     assert 2 / true_limit(body) == pytest.approx(690.7, abs=0.05 + 5e-3)  # 690.75 here
     assert element_limit(body) == pytest.approx(2.171e-3, abs=5e-7)
@@ -82,7 +82,7 @@ def test_a_sliver_is_limited_by_its_height(height, wanted):
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("held", ["nothing", "one end", "all but one node"])
-def test_the_bound_over_cells_is_below_the_limit_which_is_that_of_the_dense_matrices(d, held):
+def test_the_bound_over_cells_is_below_the_limit_of_the_dense_matrices(d, held):
     mesh = rectangle((2.0, 3.0), (2, 3)) if d == 2 else box((2.0, 3.0, 1.0), (2, 3, 1))
     nodes = {
         "nothing": [],
@@ -101,7 +101,7 @@ def test_the_bound_over_cells_is_below_the_limit_which_is_that_of_the_dense_matr
 @pytest.mark.parametrize("method", ["linear", "polar"])
 @pytest.mark.parametrize("d", [2, 3])
 def test_just_below_the_limit_noise_stays_and_just_above_it_diverges(d, method):
-    body = clamped(d, **METHODS[method])
+    body = clamp_beam(d, **METHODS[method])
     X, limit = body.mesh.points, true_limit(body)
     noise = np.where(body.free_mask[:, None], 1e-3 * RNG.standard_normal(X.shape), 0.0)
 
@@ -109,9 +109,9 @@ def test_just_below_the_limit_noise_stays_and_just_above_it_diverges(d, method):
         return float(np.sqrt((body.momentum(v) * v).sum()))
 
     # every mode keeps v^2 + omega^2 x^2 - omega^2 dt x v, so its speed stays below v_0 / sqrt(1 - (omega dt / 2)^2)
-    largest = max(speed(s.v) for s in states(body, 0.99 * limit, X, noise, 1000))
+    largest = max(speed(s.v) for s in iterate_states(body, 0.99 * limit, X, noise, 1000))
     assert largest < speed(noise) / np.sqrt(1 - 0.99**2)
-    for state in states(body, 1.01 * limit, X, noise, 250):
+    for state in iterate_states(body, 1.01 * limit, X, noise, 250):
         if speed(state.v) > 1e3 * speed(noise):
             return
     pytest.fail(f"grew to {speed(state.v) / speed(noise):.3g} only")
@@ -136,18 +136,18 @@ def test_the_limit_itself_is_computed_only_above_the_bound_over_cells(tmp_path, 
     assert below < 0.95 * above
     calls = []
 
-    def counted(body: Body) -> float:
+    def count_call(body: Body) -> float:
         calls.append(body)
         return true_limit(body)
 
-    monkeypatch.setitem(STEP_LIMITS, "symplectic_euler", (element_limit, counted))  # type: ignore[arg-type]  # Mapping to the reader
+    monkeypatch.setitem(STEP_LIMITS, "symplectic_euler", (element_limit, count_call))  # type: ignore[arg-type]  # Mapping to the reader
     built(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * below, "frames": 1}, **sections)
     assert not calls
     built(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * above, "frames": 1}, **sections)
     assert len(calls) == 1
 
 
-def test_consistent_mass_is_refused_where_it_is_written_and_lumped_with_a_note_where_inherited(tmp_path):
+def test_a_written_consistent_mass_is_refused_and_an_inherited_one_lumped_with_a_note(tmp_path):
     schedule = {"dt": 1e-4, "frames": 1}
     with pytest.raises(CaseError, match=r"method\.mass: symplectic_euler needs 'lumped'"):
         built(tmp_path, method=EXPLICIT | {"mass": "consistent"}, schedule=schedule)
@@ -168,21 +168,21 @@ def test_polar_keeps_the_angular_momentum_of_a_free_body_to_rounding(mesh, stret
     body = solid(mesh, mass="lumped", **METHODS["polar"])
     x = mesh.points * np.array([1.0, 1.0 + stretch, 1.0])[: mesh.dimension]
     v = spin(body, np.array([1.0, 0.5, 3.0])) * np.array([1.0, 1.0 + stretch, 1.0])[: mesh.dimension]
-    start = turning(body, State(0, x, v))
-    run = states(body, true_limit(body) / 2, x, v, 2000)
+    start = angular_momentum(body, State(0, x, v))
+    run = iterate_states(body, true_limit(body) / 2, x, v, 2000)
     # 2000 sums over the nodes, each rounded to 1e-16 of its terms: measured 1e-15 to 9e-15
-    assert max(np.abs(turning(body, s) - start).max() for s in run) < 1e-12 * np.linalg.norm(start)
+    assert max(np.abs(angular_momentum(body, s) - start).max() for s in run) < 1e-12 * np.linalg.norm(start)
 
 
-def test_gram_schmidt_takes_half_the_angular_momentum_of_a_stretched_bar_and_hardly_any_of_a_relaxed_one():
+def test_gram_schmidt_loses_the_angular_momentum_of_a_stretched_bar_but_not_of_a_relaxed_one():
     """About the bar's own axis; measured: -6.0 of it are left after 2000 steps, and none after 900; relaxed: 3e-4."""
     body = solid(thesis_bar(), mass="lumped", **METHODS["gram_schmidt"])
     lost = {}
     for stretch in (0.0, 0.1):
         x = body.mesh.points * [1.0, 1.0 + stretch, 1.0]
         v = spin(body, np.array([0.0, 3.0, 0.0]))
-        kept = [turning(body, s)[1] for s in states(body, true_limit(body) / 2, x, v, 2000)]
-        lost[stretch] = 1 - min(kept) / turning(body, State(0, x, v))[1]
+        kept = [angular_momentum(body, s)[1] for s in iterate_states(body, true_limit(body) / 2, x, v, 2000)]
+        lost[stretch] = 1 - min(kept) / angular_momentum(body, State(0, x, v))[1]
     assert lost[0.1] > 0.5 and lost[0.0] < 1e-2
 
 
@@ -193,7 +193,7 @@ def test_a_free_body_keeps_its_linear_momentum_and_falls_as_the_formula_says(d):
     g, v0, dt = np.array([1.0, -9.81, 2.0])[:d], np.array([1.0, -2.0, 3.0])[:d], 1e-3
     body = solid(mesh, load=1000.0 * mesh.node_volumes[:, None] * g, mass="lumped", **METHODS["polar"])
     noise = RNG.standard_normal(mesh.points.shape)
-    *_, last = states(body, dt, mesh.points, np.tile(v0, (len(mesh.points), 1)) + noise, 500)
+    *_, last = iterate_states(body, dt, mesh.points, np.tile(v0, (len(mesh.points), 1)) + noise, 500)
     t, m = 500 * dt, body.lumped_mass
     mean = m @ noise / m.sum()
     wanted = (v0 + mean) * t + g * t * (t + dt) / 2
@@ -203,12 +203,12 @@ def test_a_free_body_keeps_its_linear_momentum_and_falls_as_the_formula_says(d):
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_mode_is_the_map_of_symplectic_euler_and_loses_nothing(d):
     """q' -= omega^2 dt q, then q += dt q': v^2 + omega^2 x^2 - omega^2 dt x v is kept."""
-    body = clamped(d)
+    body = clamp_beam(d)
     (omega,), (shape,) = lowest_frequencies(body)
     X, dt = body.mesh.points, 0.9 * element_limit(body)
     q, p = 100.0, 0.0
     kept = []
-    for state in states(body, dt, X + q * shape, 0 * X, 300):
+    for state in iterate_states(body, dt, X + q * shape, 0 * X, 300):
         p -= dt * omega**2 * q
         q += dt * p
         got = ((state.x - X) * body.momentum(shape)).sum(), (state.v * body.momentum(shape)).sum()
@@ -219,22 +219,22 @@ def test_a_mode_is_the_map_of_symplectic_euler_and_loses_nothing(d):
 
 @pytest.fixture
 def matrices(monkeypatch) -> list[Mesh]:
-    """The meshes that a block pattern was made of: no matrix, of mass or of stiffness, comes without one."""
+    """The meshes of which a block pattern was made: every matrix, of mass or of stiffness, needs one."""
     made: list[Mesh] = []
     pattern = pipeline.fem.body.assemble_pattern
 
-    def counted(mesh: Mesh, order: np.ndarray) -> Assembly:
+    def count_call(mesh: Mesh, order: np.ndarray) -> Assembly:
         made.append(mesh)
         return pattern(mesh, order)
 
-    monkeypatch.setattr(pipeline.fem.body, "assemble_pattern", counted)
+    monkeypatch.setattr(pipeline.fem.body, "assemble_pattern", count_call)
     return made
 
 
 @pytest.mark.parametrize("method", ["linear", "polar", "gram_schmidt"])
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_step_builds_no_matrix_and_extracts_rotations_once(matrices, d, method):
-    body = clamped(d, **METHODS[method])
+    body = clamp_beam(d, **METHODS[method])
     X = body.mesh.points
     stepper = SymplecticEuler(body, 1e-3)
     assert len(matrices) == (method == "linear")  # whose forces are that matrix' product
@@ -251,19 +251,19 @@ def test_a_whole_explicit_run_builds_no_matrix(matrices, tmp_path, sections):
     assert not matrices
 
 
-def test_an_explicit_and_an_implicit_run_meet_as_their_steps_shrink():
-    body = clamped(3, **METHODS["polar"])
+def test_explicit_and_implicit_runs_converge_to_each_other():
+    body = clamp_beam(3, **METHODS["polar"])
     v = np.where(body.free_mask[:, None], [0.0, 0.0, -20.0], 0.0)
     dt = 1e-3
-    *_, explicit = states(body, dt, body.mesh.points, v, 100)
+    *_, explicit = iterate_states(body, dt, body.mesh.points, v, 100)
     implicit = motion(body, dt, 100, v, stepper="bdf2")[-1]
     moved = np.abs(implicit.x - body.mesh.points).max()
     assert np.abs(explicit.x - implicit.x).max() < 0.01 * moved  # errors of order dt omega_1 = .01
 
 
 def test_the_guarded_stepper_of_the_table_makes_the_same_steps():
-    body = clamped(3, **METHODS["polar"])
+    body = clamp_beam(3, **METHODS["polar"])
     v = np.where(body.free_mask[:, None], [0.0, 0.0, -20.0], 0.0)
-    *_, bare = states(body, 1e-3, body.mesh.points, v, 20)
+    *_, bare = iterate_states(body, 1e-3, body.mesh.points, v, 20)
     guarded = motion(body, 1e-3, 20, v, **EXPLICIT)[-1]
     assert np.array_equal(bare.x, guarded.x) and stepper(body, 1e-3, **EXPLICIT).dt == 1e-3

@@ -5,7 +5,10 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def kick(f, load, dt_over_mass, x, v, dt, held, where, x_new):
-    """Turn f (n, d) into the velocities v + dt/m (f + load), x_new into x + dt times these; held nodes go to where."""
+    """Turn f (n, d) into the velocities v + dt/m (f + load), x_new into x + dt times these.
+
+    Held nodes go to the positions `where` (k, d).
+    """
     for n in range(len(f)):
         for i in range(f.shape[1]):
             f[n, i] = v[n, i] + dt_over_mass[n] * (f[n, i] + load[n, i])
