@@ -1,18 +1,25 @@
-r"""Constitutive laws of one cell: energy density W(F), stress P(F), tangent dP/dF. No volumes, no sums, no mesh.
+r"""Constitutive laws of one cell: energy density W, first Piola-Kirchhoff stress P = dW/dF, tangent dP/dF.
 
-    linear          e = sym(F) - I        W = mu |e|^2 + lam tr(e)^2 / 2     P = 2 mu e + lam tr(e) I        (T 4.29)
-    corotational    e = sym(R^T F) - I    the same W                          P = R (2 mu e + lam tr(e) I)  (T 6.12, W)
+    law             strain                     P                                  W = mu |eps|^2 + lam tr(eps)^2 / 2
+    linear          eps = sym(F) - I           2 mu eps + lam tr(eps) I           (T 4.29)
+    corotational    eps = sym(R^T F) - I       R (2 mu eps + lam tr(eps) I)       (T 6.12; web page, equation 3)
 
-With the polar R, R^T F is symmetric and P is W's 2 mu (F - R) + lam tr(R^T F - I) R. With the Gram-Schmidt R it is
-T's second method: its force comes from the same stiffness, but it has no potential.
+Linear is for small rotations only: a cell rotated by t grows by 1/cos^2 t. Corotational is for large rotations and
+small strains. Neither resists inversion (W is finite at det F = 0), so neither is for large stretches, and linear
+simplices lock near poisson_ratio = 0.5.
+
+With the polar R, R^T F is symmetric and P = 2 mu (F - R) + lam tr(R^T F - I) R. With the Gram-Schmidt R, T's second
+method, P is no derivative: there is no potential, and Newton's method on an energy must not be used.
 
 Exact tangent for the polar R, with S = R^T F, A = tr(S) I - S, (A_i, q_i) its eigenpairs, c = lam (tr S - d) - 2 mu,
 a = axial(R^T dF - dF^T R):
 
     dF : dP = 2 mu |sym(R^T dF)|^2 + lam tr(R^T dF)^2 + sum_i (mu + c / A_i) (q_i . a)^2
 
-`frozen` keeps the first two terms (R K_e R^T of T); `projected` clamps every mu + c/A_i at zero, which is the nearest
-positive semidefinite tangent because the three terms act on orthogonal spaces; `exact` is indefinite in compression.
+`frozen` keeps the first two terms, T's R K_e R^T. `projected` clamps every mu + c/A_i at zero: the nearest positive
+semidefinite tangent, because the three terms act on orthogonal spaces. `exact` is indefinite in compression.
+
+Laws know no mesh: element.py makes nodal forces and stiffness matrices from P and dP/dF.
 """
 
 from dataclasses import dataclass
@@ -25,22 +32,22 @@ from pipeline.fem.material import Material
 from pipeline.fem.rotation import POLAR_ROTATION, Rotation
 
 Tangent = Literal["frozen", "projected", "exact"]
-# A_i -> 0 with c > 0 is a convex crease of W, whose curvature has no bound: this many shear moduli stand for it.
+# [mu] replaces the curvature of W on its convex crease, A_i -> 0 with c > 0, where it has no bound
 CREASE = 1e3
 
 
 class Law(Protocol):
-    """A constitutive law; R (e, d, d) is an argument, so that a solve can use the rotations that it has."""
+    """A constitutive law; R (e, d, d) is an argument, so that a solve can use rotations found before."""
 
     constant_tangent: bool
 
     @property
     def material(self) -> Material:
-        """Return the material that W is of."""
+        """Return the material."""
         ...
 
     def rotations(self, F: Floats) -> Floats:
-        """Return the frame R (e, d, d) in which this law takes the strain."""
+        """Return the rotations R (e, d, d) of the frames in which this law measures strain."""
         ...
 
     def energy_density(self, F: Floats, R: Floats) -> Floats:
@@ -52,32 +59,32 @@ class Law(Protocol):
         ...
 
     def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen") -> Floats:
-        """Return dP_iJ/dF_kL (e, d, d, d, d) [Pa]."""
+        """Return the tangents dP_iJ/dF_kL (e, d, d, d, d) [Pa]."""
         ...
 
 
 @dataclass(frozen=True)
 class Linear:
-    """Linear elasticity: the infinitesimal strain, which takes a rotation by t for a stretch of 1/cos^2 t."""
+    """Linear elasticity: the strain of small displacements; a cell rotated by t grows by 1/cos^2 t."""
 
     material: Material
     constant_tangent = True
 
     def rotations(self, F: Floats) -> Floats:
-        """Return identities; none is extracted."""
+        """Return identities; no rotation is extracted."""
         return np.broadcast_to(np.eye(F.shape[-1]), F.shape)
 
     def energy_density(self, F: Floats, R: Floats) -> Floats:
         """Return W (e,) [J/m3]; R is not used."""
-        return _energy(_strain(F), self.material)
+        return _compute_energy(_compute_strain(F), self.material)
 
     def stress(self, F: Floats, R: Floats) -> Floats:
-        """Return P = 2 mu e + lam tr(e) I [Pa]; R is not used."""
-        return _stress(_strain(F), self.material)
+        """Return P = 2 mu eps + lam tr(eps) I (e, d, d) [Pa]; R is not used."""
+        return _compute_stress(_compute_strain(F), self.material)
 
     def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen") -> Floats:
-        """Return the elasticity tensor [Pa], the same for every F and R."""
-        return np.broadcast_to(isotropic(F.shape[-1], self.material), F.shape + F.shape[-2:])
+        """Return the elasticity tensor (e, d, d, d, d) [Pa], the same for every F and R."""
+        return np.broadcast_to(make_elasticity_tensor(F.shape[-1], self.material), F.shape + F.shape[-2:])
 
 
 @dataclass(frozen=True)
@@ -94,51 +101,51 @@ class Corotational:
 
     def energy_density(self, F: Floats, R: Floats) -> Floats:
         """Return W (e,) [J/m3] of the strain in the frame R."""
-        return _energy(_strain(_transpose(R) @ F), self.material)
+        return _compute_energy(_compute_strain(_transpose(R) @ F), self.material)
 
     def stress(self, F: Floats, R: Floats) -> Floats:
-        """Return P = R (2 mu e + lam tr(e) I) [Pa]."""
-        return R @ _stress(_strain(_transpose(R) @ F), self.material)
+        """Return P = R (2 mu eps + lam tr(eps) I) (e, d, d) [Pa]."""
+        return R @ _compute_stress(_compute_strain(_transpose(R) @ F), self.material)
 
     def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen") -> Floats:
-        """Return dP/dF [Pa]; `exact` and `projected` hold for the polar R only."""
+        """Return dP/dF (e, d, d, d, d) [Pa]; `exact` and `projected` are for the polar R only."""
         d = F.shape[-1]
-        C = isotropic(d, self.material)
+        C = make_elasticity_tensor(d, self.material)
         half = (R @ C.reshape(d, d**3)).reshape(-1, d, d, d, d)  # R_iI C_IJKL
         frozen = R[:, None, None] @ half  # R_kK R_iI C_IJKL
         if kind == "frozen":
             return frozen
-        weight, t = self._find_rotation_modes(F, R)
+        weight, mode = self._find_rotation_modes(F, R)
         if kind == "projected":
             weight = np.maximum(weight, 0.0)
-        t = t.reshape(len(F), -1, d * d)
-        return frozen + (np.swapaxes(t, 1, 2) @ (weight[:, :, None] * t)).reshape(frozen.shape)
+        mode = mode.reshape(len(F), -1, d * d)
+        return frozen + (np.swapaxes(mode, 1, 2) @ (weight[:, :, None] * mode)).reshape(frozen.shape)
 
     def _find_rotation_modes(self, F: Floats, R: Floats) -> tuple[Floats, Floats]:
-        """Return mu + c/A_i (e, m) and the t_i (e, m, d, d) for which t_i : dF = q_i . axial(R^T dF - dF^T R)."""
+        """Return mu + c/A_i (e, m) and the T_i (e, m, d, d) with T_i : dF = q_i . axial(R^T dF - dF^T R)."""
         mu, lam = self.material.mu, self.material.lam
         d = F.shape[-1]
-        S = _strain(_transpose(R) @ F) + np.eye(d)
+        S = _compute_strain(_transpose(R) @ F) + np.eye(d)
         trace = np.trace(S, axis1=1, axis2=2)
         c = (lam * (trace - d) - 2 * mu)[:, None]
         if d == 2:
-            A, t = trace[:, None], (R @ _SKEW_2D)[:, None]
+            A, mode = trace[:, None], (R @ _GENERATOR_2D)[:, None]
         else:
             A, q = np.linalg.eigh(trace[:, None, None] * np.eye(3) - S)
-            t = R[:, None] @ np.tensordot(np.swapaxes(q, 1, 2), _SKEW_3D, axes=1)
-        return mu + c / np.maximum(A, np.maximum(np.abs(c) / (CREASE * mu), np.finfo(float).tiny)), t
+            mode = R[:, None] @ np.tensordot(np.swapaxes(q, 1, 2), _GENERATORS_3D, axes=1)
+        return mu + c / np.maximum(A, np.maximum(np.abs(c) / (CREASE * mu), np.finfo(float).tiny)), mode
 
 
-def isotropic(d: int, material: Material) -> Floats:
-    """Return C_IJKL = mu (d_IK d_JL + d_IL d_JK) + lam d_IJ d_KL (d, d, d, d) [Pa]."""
-    one = np.eye(d)
-    shear = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
-    return material.mu * shear + material.lam * np.einsum("ij,kl->ijkl", one, one)
+def make_elasticity_tensor(d: int, material: Material) -> Floats:
+    """Return the isotropic C_IJKL = mu (d_IK d_JL + d_IL d_JK) + lam d_IJ d_KL (d, d, d, d) [Pa]."""
+    delta = np.eye(d)
+    shear = np.einsum("ik,jl->ijkl", delta, delta) + np.einsum("il,jk->ijkl", delta, delta)
+    return material.mu * shear + material.lam * np.einsum("ij,kl->ijkl", delta, delta)
 
 
-# component m of axial(R^T dF - dF^T R) is (R W_m) : dF, with these W_m
-_SKEW_2D = np.array([[0.0, -1.0], [1.0, 0.0]])
-_SKEW_3D = np.array(
+# component m of axial(R^T dF - dF^T R) is (R L_m) : dF with these generators L_m of rotations
+_GENERATOR_2D = np.array([[0.0, -1.0], [1.0, 0.0]])
+_GENERATORS_3D = np.array(
     [
         [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
         [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
@@ -147,17 +154,17 @@ _SKEW_3D = np.array(
 )
 
 
-def _strain(F: Floats) -> Floats:
+def _compute_strain(F: Floats) -> Floats:
     return (F + _transpose(F)) / 2 - np.eye(F.shape[-1])
 
 
-def _stress(e: Floats, material: Material) -> Floats:
-    trace = np.trace(e, axis1=1, axis2=2)
-    return 2 * material.mu * e + material.lam * trace[:, None, None] * np.eye(e.shape[-1])
+def _compute_stress(strain: Floats, material: Material) -> Floats:
+    trace = np.trace(strain, axis1=1, axis2=2)
+    return 2 * material.mu * strain + material.lam * trace[:, None, None] * np.eye(strain.shape[-1])
 
 
-def _energy(e: Floats, material: Material) -> Floats:
-    return material.mu * (e**2).sum(axis=(1, 2)) + material.lam / 2 * np.trace(e, axis1=1, axis2=2) ** 2
+def _compute_energy(strain: Floats, material: Material) -> Floats:
+    return material.mu * (strain**2).sum(axis=(1, 2)) + material.lam / 2 * np.trace(strain, axis1=1, axis2=2) ** 2
 
 
 def _transpose(F: Floats) -> Floats:

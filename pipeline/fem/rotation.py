@@ -1,11 +1,11 @@
-r"""Rotations of a deformation gradient F = R S: the two that the seeds use, and the angle of one.
+r"""Rotations R of deformation gradients F = R S, by two methods, and their angles.
 
     polar          the rotation closest to F, det R = +1 always (the reflection is removed, correction to T 6.6)
-    gram_schmidt   T 6.11: r0 = a0/|a0|, r1 = orthonormalised a1, r2 = r0 x r1; a QR factor, biased by the axes
+    gram_schmidt   T 6.11: r0 = a0/|a0|, r1 = a1 orthonormalized, r2 = r0 x r1; the Q of QR, biased by the axes
 
-Both return a finite rotation for every finite F. Where F does not determine one (rank below d - 1, zero)
-a rotation is still chosen: polar completes the singular vectors, gram_schmidt takes the coordinate axis
-that is least parallel to what it has; F = 0 gives the identity.
+Both return a finite rotation for every finite F, even if F does not determine one (rank below d - 1): polar then
+completes the singular vectors, gram_schmidt takes the coordinate axis least parallel to the columns before;
+F = 0 gives the identity. Gram-Schmidt rotations have no potential: not for iterations = "converged".
 """
 
 from collections.abc import Callable
@@ -15,15 +15,14 @@ import numpy as np
 
 from pipeline.arrays import Floats
 
-# A column is taken for null, or for parallel to the one before, when less than this part of it is left:
-# below it the direction is rounding error.
+# a column of which less than this part is left counts as zero, or parallel to the one before: its direction is rounding
 _NULL = 1e-14
 POLAR, GRAM_SCHMIDT, IDENTITY = 0, 1, 2  # the numbers by which compiled kernels know rotations
 
 
 @dataclass(frozen=True)
 class Rotation:
-    """Extracts the rotations (e, d, d) of gradients F (e, d, d); `number` is that of its compiled kernel, if any."""
+    """A method: `extract` returns rotations of F (e, d, d); `number` is that of its compiled kernel, if any."""
 
     extract: Callable[[Floats], Floats]
     number: int | None = None
@@ -37,7 +36,7 @@ def _scale_entries(F: Floats) -> Floats:
 
 
 def polar(F: Floats) -> Floats:
-    """Return the closest rotation to each F (e, d, d); where det F < 0 the smallest singular value is flipped."""
+    """Return the rotation closest to each F (e, d, d); if det F < 0, the smallest singular value becomes negative."""
     if F.shape[-1] == 2:
         A = _scale_entries(F)
         return _make_plane_rotations(A[..., 0, 0] + A[..., 1, 1], A[..., 1, 0] - A[..., 0, 1])
@@ -49,7 +48,7 @@ def polar(F: Floats) -> Floats:
 
 
 def polar_by_svd(F: Floats) -> Floats:
-    """Return what `polar` does, by the textbook's route: the plain reference of the compiled one."""
+    """Return the same as `polar` by the textbook's method: the plain reference of the compiled kernel."""
     U, _, Vt = np.linalg.svd(_scale_entries(F))
     U[..., :, -1] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[..., None]
     return np.asarray(U @ Vt)
@@ -58,10 +57,10 @@ def polar_by_svd(F: Floats) -> Floats:
 def gram_schmidt(F: Floats) -> Floats:
     """Return the Gram-Schmidt rotation of the columns of each F (e, d, d), T 6.11."""
     A = _scale_entries(F)
-    r0 = _orthonormal(A[..., :, 0], [])
+    r0 = _orthonormalize(A[..., :, 0], [])
     if F.shape[-1] == 2:
         return _make_plane_rotations(r0[..., 0], r0[..., 1])
-    r1 = _orthonormal(A[..., :, 1], [r0])
+    r1 = _orthonormalize(A[..., :, 1], [r0])
     return np.stack([r0, r1, np.cross(r0, r1)], axis=-1)
 
 
@@ -73,13 +72,13 @@ def angle(R: Floats) -> Floats:
     return np.arctan2(twice_sine / 2, (np.trace(R, axis1=-2, axis2=-1) - 1) / 2)
 
 
-def axial(W: Floats) -> Floats:
-    """Return the vector (W32, W13, W21) of each skew W (e, 3, 3)."""
-    return np.stack([W[..., 2, 1], W[..., 0, 2], W[..., 1, 0]], axis=-1)
+def axial(skew: Floats) -> Floats:
+    """Return the axial vectors (w32, w13, w21) of skew matrices w (e, 3, 3)."""
+    return np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
 
 
 def _make_plane_rotations(cosine: Floats, sine: Floats) -> Floats:
-    """Return the plane rotations (e, 2, 2) along (cosine, sine), the identity where both vanish."""
+    """Return the plane rotations (e, 2, 2) along (cosine, sine), the identity if both vanish."""
     length = np.hypot(cosine, sine)
     null = length <= _NULL
     c = np.where(null, 1.0, cosine / np.where(null, 1.0, length))
@@ -87,32 +86,33 @@ def _make_plane_rotations(cosine: Floats, sine: Floats) -> Floats:
     return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
 
 
-def _orthonormal(a: Floats, basis: list[Floats]) -> Floats:
-    """Return the unit part of a (e, d) across the unit vectors of basis, or an axis across them where a has none."""
-    across = _across(a, basis)
-    left = np.linalg.norm(across, axis=-1)
+def _orthonormalize(a: Floats, basis: list[Floats]) -> Floats:
+    """Return the normalized parts of a (e, d) orthogonal to basis, or of a coordinate axis if nothing is left of a."""
+    rest = _remove_components(a, basis)
+    left = np.linalg.norm(rest, axis=-1)
     lost = left <= _NULL * np.maximum(np.linalg.norm(a, axis=-1), _NULL)
     if lost.any():
-        across[lost] = _least_parallel_axis([r[lost] for r in basis], int(lost.sum()), a.shape[-1])
-        left = np.linalg.norm(across, axis=-1)
-    # once more: one pass leaves an error of eps |a| / |across|
-    across = _across(across / left[..., None], basis)
-    return np.asarray(across / np.linalg.norm(across, axis=-1, keepdims=True))
+        rest[lost] = _find_least_parallel_axes([r[lost] for r in basis], int(lost.sum()), a.shape[-1])
+        left = np.linalg.norm(rest, axis=-1)
+    # again, because one pass leaves an error of eps |a| / |rest|
+    rest = _remove_components(rest / left[..., None], basis)
+    return np.asarray(rest / np.linalg.norm(rest, axis=-1, keepdims=True))
 
 
-def _across(a: Floats, basis: list[Floats]) -> Floats:
-    out = a.copy()
+def _remove_components(a: Floats, basis: list[Floats]) -> Floats:
+    """Return the parts of a (e, d) orthogonal to the unit vectors of basis."""
+    rest = a.copy()
     for r in basis:
-        out -= (r * out).sum(axis=-1, keepdims=True) * r
-    return out
+        rest -= (r * rest).sum(axis=-1, keepdims=True) * r
+    return rest
 
 
-def _least_parallel_axis(basis: list[Floats], count: int, d: int) -> Floats:
-    """Return, for each element, the part across the basis of the coordinate axis least parallel to it."""
+def _find_least_parallel_axes(basis: list[Floats], count: int, d: int) -> Floats:
+    """Return per cell the coordinate axis least parallel to the basis, without its components along it (count, d)."""
     parallel = np.zeros((count, d))
     for r in basis:
         parallel += r**2
-    return _across(np.eye(d)[np.argmin(parallel, axis=-1)], basis)
+    return _remove_components(np.eye(d)[np.argmin(parallel, axis=-1)], basis)
 
 
 POLAR_ROTATION = Rotation(polar, POLAR)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.fem.laws import Corotational, Linear, isotropic
+from pipeline.fem.laws import Corotational, Linear, make_elasticity_tensor
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import GRAM_SCHMIDT_ROTATION, POLAR_ROTATION
 from tests.bodies import turn
@@ -86,7 +86,7 @@ def test_frozen_tangent_is_the_derivative_of_the_stress_in_a_given_frame(name, d
     F, R = at(law, d, stretches)
     C = law.tangent(F, R, "frozen")
     assert_close(C, differences(lambda A: law.stress(A, R), F))
-    rotated = np.einsum("eik,klmn,ejm->eiljn", R, isotropic(d, SOFT), R)
+    rotated = np.einsum("eik,klmn,ejm->eiljn", R, make_elasticity_tensor(d, SOFT), R)
     assert_close(C, rotated, 1e-14)  # T's R K_e R^T: the first index of P and of F turns
 
 
