@@ -1,4 +1,4 @@
-"""Dead loads: nodal forces that depend on the rest shape only, so that their potential is -f . u."""
+"""Dead loads: nodal forces that depend on the rest shape only; their potential is -f . u."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ def body_force(mesh: Mesh, b: Floats) -> Floats:
 
 
 def body_force_field(mesh: Mesh, b: Floats) -> Floats:
-    """Return the nodal forces (n, d) [N] of a force density b (n, d) [N/m3], given at the nodes and linear in cells."""
+    """Return the nodal forces (n, d) [N] of a force density b (n, d) [N/m3], given at nodes, linear in cells."""
     f = np.zeros_like(mesh.points)
     np.add.at(f, mesh.cells, consistent_masses(mesh, 1.0) @ b[mesh.cells])
     return f

@@ -1,4 +1,4 @@
-"""Mass of the linear simplex: consistent, the element's own matrix, or lumped, a diagonal with its row sums."""
+"""Mass matrices of the linear simplex: consistent, or lumped into a diagonal of the row sums."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ class MassModel:
 
 
 def consistent_masses(mesh: Mesh, density: float) -> Floats:
-    """Return rho V / ((d+1)(d+2)) (1 + delta_ab) of every cell (e, d + 1, d + 1) [kg]."""
+    """Return rho V / ((d+1)(d+2)) (1 + delta_ab) of each cell (e, d + 1, d + 1) [kg]."""
     k = mesh.dimension + 1
     return (density * mesh.rest_volumes / (k * (k + 1)))[:, None, None] * (1 + np.eye(k))
 
 
 def lumped_masses(mesh: Mesh, density: float) -> Floats:
-    """Return rho V / (d + 1) delta_ab of every cell (e, d + 1, d + 1) [kg]."""
+    """Return rho V / (d + 1) delta_ab of each cell (e, d + 1, d + 1) [kg]."""
     k = mesh.dimension + 1
     return (density * mesh.rest_volumes / k)[:, None, None] * np.eye(k)
 
