@@ -17,7 +17,7 @@ from pipeline.fem.rotation import polar_by_svd
 from pipeline.problem.problem import Problem
 
 _MOST_CELLS_SUPERLU = 50_000  # above, a factorization in every step takes minutes
-_MOST_ITERATIONS = 5000  # of Jacobi-CG, which needs up to 1700 to 1e-6 on our largest mesh
+_MOST_ITERATIONS = 5000  # of Jacobi-CG; block Jacobi took 1700 on a million cells
 
 
 class PlainStep:

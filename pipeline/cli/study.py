@@ -126,7 +126,7 @@ def _print_tradeoff(plan: "Plan", options: argparse.Namespace) -> None:
         )
     print(found.sentence)
     if not options.quiet:
-        print(*(f"  {line}" for line in (*found.lines, *found.made)), sep="\n", flush=True)
+        print(*(f"  {line}" for line in (*found.lines, *found.files)), sep="\n", flush=True)
 
 
 def _stability_arguments(parser: argparse.ArgumentParser) -> None:

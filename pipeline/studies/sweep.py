@@ -35,7 +35,7 @@ _FILE_SAFE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}")
 _ALLOWED_FAILURES = 1
 # Ctrl-C reaches every process of the terminal; this process closes the others
 _IGNORE_INTERRUPTS = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-_CONNECT_SECONDS = 10  # a scheduler on another continent answers in less
+_CONNECT_SECONDS = 10
 _CLOSE_SECONDS = 5  # workers that do not end by then are killed
 
 

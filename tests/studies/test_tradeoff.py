@@ -87,9 +87,9 @@ def test_settings_are_slices_that_allow_auto_beside_every_fixed_one(tmp_path):
             assert {s.model for s in alike} == {
                 "linear", "auto", "polar-1", "polar-2", "polar-3", "polar-converged", "gram_schmidt-1",
             }  # fmt: skip
-    assert plan.reference(1).dt == 0.0025 / 8 and plan.reference_before(1) in plan.settings
+    assert plan.make_reference(1).dt == 0.0025 / 8 and plan.make_coarser_reference(1) in plan.settings
     assert {s.mass for s in plan.settings if s.stepper == "bdf2"} == {"consistent", "lumped"}
-    assert plan.own == Setting(1, "consistent", "backward_euler", 0.02, "corotational", "polar", "1")
+    assert plan.case_setting == Setting(1, "consistent", "backward_euler", 0.02, "corotational", "polar", "1")
 
 
 def test_every_setting_is_a_case_seen_at_the_same_instants(tmp_path):
@@ -107,7 +107,7 @@ def test_an_explicit_case_gives_implicit_steps_its_frames(tmp_path):
     schedule = {"dt": 1e-4, "steps_per_frame": 100, "frames": 8}
     method = {"stepper": "symplectic_euler", "mass": "lumped"}
     plan = plan_of(tmp_path, sections={"schedule": schedule, "method": method, **PLANAR})
-    assert plan.dt == 0.01 and plan.own.stepper == "bdf2" and plan.own.mass == "lumped"
+    assert plan.dt == 0.01 and plan.case_setting.stepper == "bdf2" and plan.case_setting.mass == "lumped"
 
 
 def test_a_long_run_is_seen_at_fifty_instants_at_most(tmp_path):
@@ -200,7 +200,7 @@ def test_a_run_in_memory_is_the_run(tmp_path):
     from pipeline.run.frames import frames
 
     plan = plan_of(tmp_path)
-    case = make_point_case(plan, plan.own)
+    case = make_point_case(plan, plan.case_setting)
     result = run_motion(json.loads(json.dumps(make_task_settings(case, 2))))
     problem = build(case)
     seen = list(frames(problem))
@@ -215,12 +215,12 @@ def test_a_run_in_memory_is_the_run(tmp_path):
 def test_what_leaves_the_scene_is_an_error(tmp_path):
     plan = plan_of(tmp_path, sections={"supports": None, "initial": {"velocity": [0.0, 0.0, 1e6]}})
     with pytest.raises(SolveError, match="times its size"):
-        run_motion(make_task_settings(make_point_case(plan, plan.own), 1))
+        run_motion(make_task_settings(make_point_case(plan, plan.case_setting), 1))
 
 
 def test_a_race_of_a_case_with_itself(tmp_path):
     plan = plan_of(tmp_path)
-    settings = make_task_settings(make_point_case(plan, plan.own), 1)
+    settings = make_task_settings(make_point_case(plan, plan.case_setting), 1)
     found = run_race(settings | {"rival": settings["case"]})
     assert found["ratio"] > 0 and found["pairs"] == 1
 
@@ -266,32 +266,34 @@ def test_auto_is_set_against_the_cheapest_that_meets_its_tolerance():
         row(1.5, 0.0, model=CONVERGED, dt=0.2),
     ]
     (found,) = judge_auto(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
-    assert found.rival == rows[1].setting and found.ratio == pytest.approx(1.1) and found.kept
+    assert found.rival == rows[1].setting and found.ratio == pytest.approx(1.1) and found.is_within
     rows[1] = row(2, 0.0, model=("corotational", "polar", "1"), model_volume=0.012)  # twice the tolerance is not it
     rows[3] = row(2.2, 0.0, model=AUTO, model_volume=0.009)
     (found,) = judge_auto(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
     assert found.rival == rows[2].setting
     rows[3] = row(2.2, 0.0, model=AUTO, model_volume=0.021)
-    assert not judge_auto(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))[0].kept
+    assert not judge_auto(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))[0].is_within
 
 
 def test_the_sentence_tells_no_more_than_the_reference_is_good_for():
     rows = [row(1, 0.005), row(3, 0.0005, dt=0.05)]
     plan = SimpleNamespace(
-        tolerance=0.01, refinements=(1,), case=SimpleNamespace(name="scene"), reference=lambda r: None
+        tolerance=0.01, refinements=(1,), case=SimpleNamespace(name="scene"), make_reference=lambda r: None
     )
 
     def said(sure, rows=rows, mesh=float("nan")):
         reference = SimpleNamespace(time=sure)
-        table = SimpleNamespace(plan=plan, rows=rows, mesh_error=lambda r: mesh, reference_error=lambda: reference)
+        table = SimpleNamespace(
+            plan=plan, rows=rows, find_mesh_error=lambda r: mesh, estimate_reference_errors=lambda: reference
+        )
         return describe_choice(table)
 
     assert said(1e-4).startswith("scene: for 1 % use bdf2, the linear law, consistent mass, dt = 0.1 s: 100 ms a step")
     assert "0.1 % costs 3 times as much" in said(1e-4) and "reference" not in said(1e-4)
     assert "0.1 % was not reached (0.5 % by" in said(1e-4, rows[:1])
-    assert "0.1 % cannot be told; the reference itself is good to 2 %" in said(0.02)
+    assert "0.1 % is below the accuracy of the reference; the reference itself has an error of 2 %" in said(0.02)
     assert said(1e-4, [row(1, 0.05)]).startswith("scene: no setting that was run reaches 1 % (5 % by bdf2")
-    assert said(1e-4, mesh=0.3).endswith("the mesh itself is 30 % from cells x 1")
+    assert said(1e-4, mesh=0.3).endswith("the mesh itself differs by 30 % from cells x 1")
 
 
 @pytest.mark.parametrize("stepper", ["backward_euler", "bdf2"])
@@ -329,7 +331,7 @@ def test_the_study_stands_as_files(study):
     summary = json.loads((found.folder / "summary.json").read_text())
     assert summary["sentence"] == found.sentence and summary["failed"] == {}
     assert summary["first_mode"]["fewer"] > 10
-    assert all(verdict["kept"] and verdict["ratio"] > 0 for verdict in summary["auto"])
+    assert all(verdict["is_within"] and verdict["ratio"] > 0 for verdict in summary["auto"])
     assert (found.folder / "tradeoff.png").stat().st_size > 10_000
 
 
@@ -376,9 +378,9 @@ def test_a_reference_that_fails_is_an_error_and_other_failures_are_told(study):
     table = ErrorTable(plan, results | {broken: {"error": "SolveError: blew up"}})
     assert [one.failure for one in table.rows if one.setting.key == broken] == ["SolveError: blew up"]
     assert "use" in describe_choice(table) or "no setting" in describe_choice(table)
-    assert split_error(table, table.row(plan.own)).dominant in ("model", "dt", "mesh")
+    assert split_error(table, table.find_row(plan.case_setting)).dominant in ("model", "dt", "mesh")
     with pytest.raises(SolveError, match="no reference on mesh x2: SolveError: blew up"):
-        ErrorTable(plan, results | {plan.reference(2).key: {"error": "SolveError: blew up"}})
+        ErrorTable(plan, results | {plan.make_reference(2).key: {"error": "SolveError: blew up"}})
 
 
 # the choice as a variant
@@ -420,7 +422,7 @@ def test_a_file_that_cannot_take_the_variant_is_left_alone(tmp_path):
     own = plan_of(tmp_path, sections={"variants": {"adequate": {}}})
     inline = load_case(write_case(tmp_path, "inline.toml", variants=None))
     inline.path.write_text(f"variants = {{polar = {{}}}}\n{inline.path.read_text()}")
-    for plan, message in ((own, "there already"), (make_plan(inline, tolerance=0.1), "cannot be appended")):
+    for plan, message in ((own, "exists already"), (make_plan(inline, tolerance=0.1), "cannot be appended")):
         before = plan.case.path.read_text()
         with pytest.raises(CaseError, match=message) as raised:
             write_chosen_variant(plan, CHOSEN, "why")

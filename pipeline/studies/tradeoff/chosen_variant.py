@@ -9,31 +9,31 @@ from pipeline.case import load_case
 from pipeline.errors import CaseError
 from pipeline.formats.atomic import replace_file
 from pipeline.studies.tradeoff.settings import Plan, Setting, make_mesh_keys, make_method_keys
+from pipeline.system.times import count_intervals
 
 NAME = "adequate"
 _MARK = "# The choice of `pipeline study tradeoff`"
-# our own block: from the mark to the next empty line or the end
+# from the mark to the next empty line or the end
 _BLOCK = re.compile(rf"\n*^{re.escape(_MARK)}.*?(?=\n\n|\Z)", re.MULTILINE | re.DOTALL)
 
 
 def write_chosen_variant(plan: Plan, setting: Setting, why: str) -> None:
-    """Append the setting to the case's file as [variants.adequate]; what stood there is kept, an earlier choice is not.
+    """Append the setting to the case's file as [variants.adequate], in place of an earlier choice; all else is kept.
 
-    The frames are those of the case where dt divides their interval. Raises CaseError where the file has such a
-    variant of its own or keeps its variants in an inline table, OutputError where it cannot be written.
+    The frames are those of the case if dt divides their interval. Raises CaseError if the file has another variant of
+    this name or an inline table of variants, OutputError if it cannot be written.
     """
     path = plan.case.path
-    text = path.read_text(encoding="utf-8")
-    kept = _BLOCK.sub("", text).rstrip("\n")
-    variants = tomllib.loads(kept).get("variants", {})
+    text = _BLOCK.sub("", path.read_text(encoding="utf-8")).rstrip("\n")
+    variants = tomllib.loads(text).get("variants", {})
     if NAME in variants:
-        raise CaseError(f"{path}: variants.{NAME}: is there already; rename it or remove it")
+        raise CaseError(f"{path}: variants.{NAME}: exists already; rename it or remove it")
     keys = [f'"{key}" = {_format_inline(value)}' for key, value in _make_overrides(plan, setting).items()]
     lines = [_MARK, f"# {why}", f"[variants.{NAME}]", *keys]
-    if not variants:  # a case without variants has one, of this name
+    if not variants:  # the one variant of a case without variants
         lines[2:2] = ["[variants.default]"]
     with replace_file(path) as hidden:
-        hidden.write_text("\n".join([kept, "", *lines, ""]), encoding="utf-8")
+        hidden.write_text("\n".join([text, "", *lines, ""]), encoding="utf-8")
         try:
             load_case(hidden)
         except CaseError as error:
@@ -44,22 +44,22 @@ def write_chosen_variant(plan: Plan, setting: Setting, why: str) -> None:
 def _format_inline(value: Any) -> str:
     """Return a TOML value on one line."""
     if isinstance(value, dict):
-        return f"{{{', '.join(f'{key} = {_format_inline(one)}' for key, one in value.items())}}}"
+        return f"{{{', '.join(f'{key} = {_format_inline(item)}' for key, item in value.items())}}}"
     if isinstance(value, list):
         return f"[{', '.join(map(_format_inline, value))}]"
-    return json.dumps(value)  # of a string or a number it is TOML too
+    return json.dumps(value)  # strings and numbers are the same in TOML
 
 
 def _make_overrides(plan: Plan, setting: Setting) -> dict[str, Any]:
     schedule = plan.case.schedule
     interval = schedule.dt * schedule.steps_per_frame
-    steps = round(interval / setting.dt)
-    if steps and abs(interval / setting.dt / steps - 1) < 1e-9:
-        rhythm = {"dt": interval / steps, "steps_per_frame": steps, "frames": schedule.frames}
+    steps = count_intervals(interval, setting.dt)
+    if steps is not None:
+        frames = {"dt": interval / steps, "steps_per_frame": steps, "frames": schedule.frames}
     else:
-        rhythm = {
+        frames = {
             "dt": setting.dt,
             "steps_per_frame": 1,
             "frames": max(1, int(interval * schedule.frames / setting.dt)),
         }
-    return make_method_keys(plan, setting) | make_mesh_keys(plan, setting) | {"schedule": rhythm}
+    return make_method_keys(plan, setting) | make_mesh_keys(plan, setting) | {"schedule": frames}

@@ -1,4 +1,4 @@
-"""tradeoff.nc: every cost and deviation of a study, a dimension a knob, NaN where a setting was not run."""
+"""tradeoff.nc: every cost and deviation of a study, a dimension for each knob, NaN for settings that were not run."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -24,12 +24,12 @@ KNOBS = {
 _REFERENCES = {
     "model": "the converged solution of the same stepper, dt, mass and mesh",
     "motion": "the converged BDF2 of the smallest step on the same mesh",
-    "total": "that on the finest mesh, at the nodes of both",
+    "total": "the same on the finest mesh, at the nodes of both",
 }
 
 
 def make_dataset(table: ErrorTable) -> "xarray.Dataset":
-    """Return the study as a dataset with the dimensions of KNOBS; "failed" is 1 where a setting gave an error."""
+    """Return the study as a dataset with the dimensions of KNOBS; "failed" is 1 for a setting that failed."""
     import xarray
 
     rows = table.rows
@@ -41,18 +41,18 @@ def make_dataset(table: ErrorTable) -> "xarray.Dataset":
     for name in list_deviations(table):
         reference, measure = name.split("_", 1)
         units, text = MEASURES[measure]
-        found = {row.setting: row.deviations.get(name) for row in rows}
-        data[name] = _fill_variable(shape, values, found, units, f"{text}; reference: {_REFERENCES[reference]}")
+        deviations = {row.setting: row.deviations.get(name) for row in rows}
+        data[name] = _fill_variable(shape, values, deviations, units, f"{text}; reference: {_REFERENCES[reference]}")
     failed = {row.setting: float(row.failure is not None) for row in rows}
-    data["failed"] = _fill_variable(shape, values, failed, "1", "1 where the setting gave an error, 0 where it ran")
+    data["failed"] = _fill_variable(shape, values, failed, "1", "1 if the setting ended in an error, 0 if it ran")
     coordinates = {name: (name, _make_coordinate(values[name]), _make_attributes(name)) for name in KNOBS}
-    own = table.reference_error()
+    own = table.estimate_reference_errors()
     attrs = {
         "Conventions": "CF-1.11",
         "title": f"{table.plan.case.name}: work against precision",
         "tolerance": table.plan.tolerance,
         "simulated_seconds": table.plan.interval * table.plan.frames,
-        "reference_dt": table.plan.reference(1).dt,
+        "reference_dt": table.plan.make_reference(1).dt,
         "reference_error": float("nan") if own.time is None else own.time,
         "mesh_reference_error": float("nan") if own.mesh is None else own.mesh,
     }
@@ -60,8 +60,8 @@ def make_dataset(table: ErrorTable) -> "xarray.Dataset":
 
 
 def _list_values(name: str, rows: list[SettingRow]) -> list[Any]:
-    found = dict.fromkeys(getattr(row.setting, name) for row in rows)
-    return sorted(found) if name in ("refinement", "dt") else list(found)
+    values = dict.fromkeys(getattr(row.setting, name) for row in rows)
+    return sorted(values) if name in ("refinement", "dt") else list(values)
 
 
 def _make_coordinate(values: list[Any]) -> np.ndarray:
@@ -74,10 +74,10 @@ def _make_attributes(name: str) -> dict[str, str]:
 
 
 def _fill_variable(
-    shape: tuple[int, ...], values: dict[str, list[Any]], found: Mapping[Setting, float | None], units: str, text: str
+    shape: tuple[int, ...], axes: dict[str, list[Any]], values: Mapping[Setting, float | None], units: str, text: str
 ) -> tuple[tuple[str, ...], np.ndarray, dict[str, str]]:
     out = np.full(shape, np.nan)
-    for setting, value in found.items():
+    for setting, value in values.items():
         if value is not None:
-            out[tuple(values[name].index(getattr(setting, name)) for name in KNOBS)] = value
+            out[tuple(axes[name].index(getattr(setting, name)) for name in KNOBS)] = value
     return tuple(KNOBS), out, {"units": units, "long_name": text}

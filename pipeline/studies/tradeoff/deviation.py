@@ -1,8 +1,8 @@
-r"""How far one motion is from another: nodes, volumes, energy, and the first mode.
+r"""Differences of two motions: nodes, volumes, energy, and the first mode.
 
-With the first mode phi (M-normalised, omega) of the body at rest,  q = phi . M u,  z = q + i dq/dt / omega:
-its amplitude is |z|, its phase arg z. In large rotations that is a projection like any other, still the same one for
-both motions.
+With the first mode phi (M-normalized, omega) of the body at rest,  q = phi . M u,  z = q + i dq/dt / omega:
+its amplitude is |z|, its phase arg z. In large rotations that is no mode, but still the same projection of both
+motions.
 """
 
 from dataclasses import dataclass
@@ -23,12 +23,12 @@ MEASURES = {
     "drift": ("1", "largest difference of the relative change of total volume"),
     "energy": ("1", "largest difference of the total energy, over the largest kinetic and elastic one"),
     "mode_amplitude": ("1", "largest difference of the first mode's amplitude, over its largest"),
-    "mode_phase": ("degree", "largest difference of the first mode's phase, where it moves"),
+    "mode_phase": ("degree", "largest difference of the first mode's phase while it moves"),
 }
 DISTANCES = ("worst_distance", "rms_distance")
-# a tolerance on volume ratios is met by twice itself: what model = "auto" promises of its indicator
+# an error of a volume ratio counts half: model = "auto" promises to keep it below twice the tolerance
 VOLUME_SHARE = 0.5
-_MOVING = 0.1  # of the largest amplitude: below it a phase means little
+_MOVING = 0.1  # of the largest amplitude: below, a phase means little
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +38,14 @@ class FirstMode:
     weighted: Floats
     omega: float
 
-    def amplitude(self, motion: RecordedMotion) -> Floats:
+    def project(self, motion: RecordedMotion) -> Floats:
         """Return z of a motion (t,), complex."""
-        q, rate = (np.einsum("tnd,nd->t", one, self.weighted) for one in (motion.u, motion.v))
+        q, rate = (np.einsum("tnd,nd->t", field, self.weighted) for field in (motion.u, motion.v))
         return np.asarray(q + 1j * rate / self.omega)
 
 
 def find_first_mode(body: Body) -> FirstMode | None:
-    """Return the lowest elastic mode of a body; None where it has none or it is not found."""
+    """Return the lowest elastic mode of a body; None if it has none or none is found."""
     try:
         omegas, modes = lowest_frequencies(body)
     except SolveError:
@@ -54,14 +54,14 @@ def find_first_mode(body: Body) -> FirstMode | None:
 
 
 def measure_distances(motion: RecordedMotion, reference: RecordedMotion, nodes: Ints | None = None) -> dict[str, float]:
-    """Return the worst and RMS distance over the body's size; `nodes` are the motion's own in a finer reference."""
+    """Return the worst and RMS distance over the body's size; `nodes` are numbers of the motion's in a finer mesh."""
     other = reference.u if nodes is None else reference.u[:, nodes]
-    apart = np.linalg.norm(motion.u - other, axis=-1) / motion.mesh.size
-    return {"worst_distance": float(apart.max()), "rms_distance": float(np.sqrt(np.mean(apart**2)))}
+    distance = np.linalg.norm(motion.u - other, axis=-1) / motion.mesh.size
+    return {"worst_distance": float(distance.max()), "rms_distance": float(np.sqrt(np.mean(distance**2)))}
 
 
 def measure_deviation(motion: RecordedMotion, reference: RecordedMotion, mode: FirstMode | None) -> dict[str, float]:
-    """Return every measure of MEASURES between two motions of one mesh; NaN where it cannot be known."""
+    """Return every measure of MEASURES between two motions of one mesh; NaN if it is undefined."""
     scale = float(reference.moving_energy.max())
     energy = float(np.abs(motion.energy - reference.energy).max())
     out = measure_distances(motion, reference) | {
@@ -72,7 +72,7 @@ def measure_deviation(motion: RecordedMotion, reference: RecordedMotion, mode: F
         "mode_phase": float("nan"),
     }
     if mode is not None:
-        z, exact = mode.amplitude(motion), mode.amplitude(reference)
+        z, exact = mode.project(motion), mode.project(reference)
         largest = float(np.abs(exact).max())
         moving = np.abs(exact) > _MOVING * largest
         if moving.any():
@@ -82,5 +82,5 @@ def measure_deviation(motion: RecordedMotion, reference: RecordedMotion, mode: F
 
 
 def combine_error(measures: dict[str, float]) -> float:
-    """Return the one number that a tolerance is held against: worst distance, or half the worst volume, the larger."""
+    """Return the error that is compared with a tolerance: worst distance or half the worst volume, the larger."""
     return max(measures["worst_distance"], VOLUME_SHARE * measures.get("volume", 0.0))

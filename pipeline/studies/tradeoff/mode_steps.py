@@ -1,6 +1,6 @@
-r"""How many steps a period of the first mode a stepper needs for an amplitude and phase to a tolerance.
+r"""The steps a period of the first mode that a stepper needs for an amplitude and phase to a tolerance.
 
-The body is linear, without loads, displaced along its first mode and let go. After one period the mode is where it was:
+The body is linear, without loads, displaced along its first mode and released. After one period the mode is back:
     z = q + i dq/dt / omega,    error = |z(T) - z(0)| / |z(0)|,    T = 2 pi / omega
 The error falls as a power of the steps a period, so a few runs find the count.
 """
@@ -20,15 +20,15 @@ from pipeline.problem.stage_solvers import make_stepper
 from pipeline.stepping.state import State
 from pipeline.studies.tradeoff.motion import build_problem
 
-_FIRST = 64  # steps a period
-_MOST = 1_000_000
-_RUNS = 12
+_FIRST = 64  # steps a period of the first run
+_MOST = 1_000_000  # steps a period: no search goes further
+_RUNS = 12  # extrapolation by the order, then bisection, need fewer unless errors do not fall as a power
 
 
 def find_steps_per_period(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fewest steps a period for the tolerance, as measured, its error, and omega [rad/s].
+    """Return the fewest steps a period for the tolerance, found by runs, their error, and omega [rad/s].
 
-    Settings are those of `motion.task_settings` and `tolerance`. Raises SolveError where the body has no elastic mode
+    Settings are those of `motion.make_task_settings` and `tolerance`. Raises SolveError if the body has no elastic mode
     or the tolerance is not reached.
     """
     problem = build_problem(settings, "case")
@@ -40,15 +40,17 @@ def find_steps_per_period(settings: Mapping[str, Any]) -> dict[str, Any]:
     reached: dict[int, float] = {}
     missed, count = 0, _FIRST
     for _ in range(_RUNS):
-        found = measure_period_error(problem, mode, omega, count)
-        if found <= tolerance:
-            reached[count] = found
+        error = measure_period_error(problem, mode, omega, count)
+        if error <= tolerance:
+            reached[count] = error
         else:
             missed = max(missed, count)
         best = min(reached, default=_MOST)
         if best - missed <= max(1, best // 100):  # to 1 %
             return {"steps": best, "error": reached[best], "omega": omega}
-        guess = ceil(count * (found / tolerance) ** (1 / STEPPERS[stepper].order) * 1.001)
+        guess = ceil(
+            count * (error / tolerance) ** (1 / STEPPERS[stepper].order) * 1.001
+        )  # rounding of the power must not miss the tolerance
         count = guess if missed < guess < best else (missed + best + 1) // 2
     raise SolveError(f"the first mode is not followed to {tolerance:g} by {missed} steps of {stepper} a period")
 
@@ -59,7 +61,7 @@ def measure_period_error(problem: Problem, mode: np.ndarray, omega: float, count
     dt = 2 * pi / omega / count
     stepper = make_stepper(body, dt, problem.method)
     X = body.mesh.points
-    scale = 1e-3 * body.mesh.size / np.abs(mode).max()  # the body is linear: any size does
+    scale = 1e-3 * body.mesh.size / np.abs(mode).max()  # the body is linear: its response is proportional
     state = State(0, X + scale * mode, np.zeros_like(X))
     for _ in range(count):
         state, _ = stepper.step(state)

@@ -1,4 +1,4 @@
-"""One setting run in memory, and what is kept of it: where the nodes were, what it cost."""
+"""One setting run in memory: the motion of its nodes, and its cost."""
 
 import base64
 import statistics
@@ -23,16 +23,13 @@ from pipeline.run.frames import frames
 
 COUNTS = ("steps", "solves", "iterations", "factorizations", "rotations")
 _ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")
-_LEAST_SECONDS, _MOST_SECONDS = (
-    0.5,
-    5.0,
-)  # seconds of all repeats: at least, if need be by more of them, and enough for any
-_MOST_RUNS, _PAIRS = 15, 9
-_BEYOND = 1e3  # body sizes: what has flown so far has no error that is worth a number
+_LEAST_SECONDS, _MOST_SECONDS = 0.5, 5.0  # of all repeats: below they are repeated more often, above no more
+_MOST_RUNS, _PAIRS = 15, 9  # repeats at most, and pairs of a race
+_MOST_SIZES = 1e3  # a body that moves by so many times its size has no meaningful error
 
 
 def make_task_settings(case: Case, repeats: int) -> dict[str, Any]:
-    """Return the settings of `run_motion` for a resolved case; a mesh file's content is part of them."""
+    """Return the settings of `run_motion` for a resolved case, with a hash of its mesh file."""
     settings = {"case": result_settings(case), "path": str(case.path.resolve()), "repeats": repeats}
     if case.mesh_path is not None:
         settings["mesh_file"] = _hash_file(case, case.mesh_path)
@@ -49,11 +46,11 @@ def _hash_file(case: Case, path: Path) -> str:
 def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return displacement and velocity at every frame (packed), energies, work counts and solver seconds.
 
-    The run is repeated as the settings ask, a short one more often and a long one less; seconds are the median, the
-    motion is the same each time. Raises SolveError where a step fails or the body leaves the scene.
+    The run is repeated as often as the settings say, more often if short and less if long; seconds are the median.
+    Raises SolveError if a step fails or the body leaves the scene.
     """
     problem = build_problem(settings, "case")
-    problem.prepare().step(problem.start)  # kernels are loaded now, not in the first timed step
+    problem.prepare().step(problem.start)  # loads the kernels now, not in the first timed step
     seconds: list[float] = []
     setup: list[float] = []
     repeats = settings["repeats"]
@@ -64,7 +61,7 @@ def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:
         seconds.append(total.seconds)
     X, size = problem.body.mesh.points, problem.body.mesh.size
     u = np.stack([frame.x - X for frame in seen])
-    if np.abs(u).max() > _BEYOND * size:
+    if np.abs(u).max() > _MOST_SIZES * size:
         raise SolveError(f"moved by {np.abs(u).max() / size:.3g} times its size")
     return {
         "displacement": pack_array(u),
@@ -83,7 +80,7 @@ def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:
 def run_race(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the ratio of solver seconds of "case" over those of "rival", run in turn: the median of the pairs.
 
-    Whatever else the machine does meanwhile slows both, so that the ratio is told better than either time.
+    Other work on the machine slows both, so that the ratio is more accurate than either time.
     """
     problems = [build_problem(settings, key) for key in ("case", "rival")]
     for problem in problems:
@@ -96,7 +93,7 @@ def run_race(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def build_problem(settings: Mapping[str, Any], key: str) -> Problem:
-    """Return the problem of the case that settings hold under a key."""
+    """Return the problem of the case under a key of the settings."""
     return build(Case.model_validate({**settings[key], "path": Path(settings["path"])}))
 
 
@@ -106,23 +103,23 @@ def _sum_step_work(seen: list[Frame]) -> Work:
 
 
 def _are_too_short(seconds: list[float]) -> bool:
-    """Return whether runs were so short, and few, that their median says little on a busy machine."""
+    """Return whether runs were too short, and too few, for a median on a busy machine."""
     return sum(seconds) < _LEAST_SECONDS and len(seconds) < _MOST_RUNS
 
 
 def pack_array(values: Floats) -> str:
-    """Return an array as text. Single precision: displacements to 1e-7 of themselves, far below any error told."""
+    """Return an array as text, in single precision: relative errors of 1e-7 are far below any error of a study."""
     return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()
 
 
 def unpack_array(text: str, shape: tuple[int, ...]) -> Floats:
-    """Return the array that a text holds."""
+    """Return the array of a text."""
     return np.frombuffer(base64.b64decode(text), dtype="<f4").astype(np.float64).reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedMotion:
-    """Displacements and velocities (t, n, d) of a mesh, and its energies (t,) [J]: all of it, and all but loads'."""
+    """Displacements and velocities (t, n, d) of a mesh, its total energy (t,) [J], and that without the loads'."""
 
     mesh: Mesh
     u: Floats

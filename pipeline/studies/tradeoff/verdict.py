@@ -1,25 +1,26 @@
-"""What the rows of a trade-off study say: fronts, the cheapest setting that is enough, what dominates, the bars."""
+"""The answers of a trade-off study: fronts, the cheapest accurate setting, the largest part of an error, the bars."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import Any
 
+from pipeline.problem.methods import STEPPERS
 from pipeline.studies.tradeoff.deviation import VOLUME_SHARE
-from pipeline.studies.tradeoff.settings import AUTO, IMPLICIT, Setting
+from pipeline.studies.tradeoff.settings import AUTO, Setting
 from pipeline.studies.tradeoff.table import ErrorTable, SettingRow
 
-AUTO_BAR = 1.3  # times the cheapest fixed setting that meets the same tolerance
-MODE_BAR = 10.0  # times fewer steps
-_TIED = 1.1
+AUTO_BAR = 1.3  # seconds of auto over the cheapest fixed setting of the same tolerance
+MODE_BAR = 10.0  # times fewer steps of the most accurate stepper
+_TIED = 1.1  # seconds within this ratio are equal: timing cannot separate them
 
 
 @dataclass(frozen=True)
 class AutoVerdict:
     """model = "auto" beside the cheapest fixed setting of the same stepper, dt and mesh that meets the same tolerance.
 
-    `volume` is the worst |J - J_ref| of auto against the converged solution, to be at most twice the tolerance; that of
-    the rival is at most the tolerance, or auto's where auto exceeds it.
+    `volume` is the worst |J - J_ref| of auto against the converged solution, to be within twice the tolerance. That
+    of the rival is within the tolerance, or auto's if auto exceeds it.
     `iterations` count linear solves, which do not depend on the machine; `ratio` is that of the seconds.
     """
 
@@ -31,12 +32,12 @@ class AutoVerdict:
     rival_seconds: float | None
     rival_iterations: float | None
     ratio: float | None
-    kept: bool
+    is_within: bool
 
 
 @dataclass(frozen=True)
 class ErrorParts:
-    """The three parts of a setting's error, each an error by itself, and the name of the largest."""
+    """The three parts of a setting's error, and the name of the largest."""
 
     model: float
     dt: float
@@ -44,72 +45,77 @@ class ErrorParts:
 
     @property
     def dominant(self) -> str:
-        """Return the part that is largest: model, dt or mesh; NaN counts as none."""
+        """Return the largest part: model, dt or mesh; NaN counts as none."""
         parts = asdict(self)
         return max(parts, key=lambda name: parts[name] if isfinite(parts[name]) else -1.0)
 
 
 def find_front(rows: Iterable[SettingRow], reference: str = "motion") -> list[SettingRow]:
     """Return the rows that no other beats in both solver seconds and error, cheapest first."""
-    good = [row for row in rows if isfinite(row.error(reference))]
-    out: list[SettingRow] = []
-    for row in sorted(good, key=lambda one: (one.costs["seconds"], one.error(reference))):
-        if not out or row.error(reference) < out[-1].error(reference):
-            out.append(row)
-    return out
+    good = [row for row in rows if isfinite(row.compute_error(reference))]
+    front: list[SettingRow] = []
+    for row in sorted(good, key=lambda row: (row.costs["seconds"], row.compute_error(reference))):
+        if not front or row.compute_error(reference) < front[-1].compute_error(reference):
+            front.append(row)
+    return front
 
 
 def find_cheapest(rows: Iterable[SettingRow], tolerance: float, reference: str = "motion") -> SettingRow | None:
-    """Return the row of least solver seconds whose error is at most the tolerance; None where there is none.
+    """Return the row of least solver seconds whose error is within the tolerance; None if there is none.
 
-    Of those within a tenth of that cost, which no timing tells apart, it is the most accurate; Gram-Schmidt, which
-    depends on the axes and has no potential, comes last.
+    Among those within a tenth of that cost it is the most accurate; Gram-Schmidt, which depends on the axes and has no
+    potential, comes last.
     """
-    enough = [row for row in rows if row.error(reference) <= tolerance]
-    least = min((row.costs["seconds"] for row in enough), default=0.0)
-    tied = [row for row in enough if row.costs["seconds"] <= _TIED * least]
-    return min(tied, key=lambda row: (row.setting.rotation == "gram_schmidt", row.error(reference)), default=None)
+    accurate = [row for row in rows if row.compute_error(reference) <= tolerance]
+    least = min((row.costs["seconds"] for row in accurate), default=0.0)
+    tied = [row for row in accurate if row.costs["seconds"] <= _TIED * least]
+    return min(
+        tied, key=lambda row: (row.setting.rotation == "gram_schmidt", row.compute_error(reference)), default=None
+    )
 
 
 def list_choosable(table: ErrorTable, refinement: int | None = 1) -> list[SettingRow]:
-    """Return the rows that a choice is made of: those of a mesh (None: of any) less the references."""
+    """Return the rows to choose from: those of a mesh (None: of any) without the references."""
     plan = table.plan
-    left_out = {plan.reference(r) for r in plan.refinements}
-    rows = [row for row in table.rows if row.setting not in left_out]
+    references = {plan.make_reference(r) for r in plan.refinements}
+    rows = [row for row in table.rows if row.setting not in references]
     return [row for row in rows if refinement in (None, row.setting.refinement)]
 
 
 def split_error(table: ErrorTable, row: SettingRow) -> ErrorParts:
-    """Return the parts of a row's error: its model's, its stepper and dt's, its mesh's."""
-    return ErrorParts(row.error("model"), table.time_error(row.setting), table.mesh_error(row.setting.refinement))
+    """Return the parts of a row's error: those of its model, of its stepper and dt, and of its mesh."""
+    return ErrorParts(
+        row.compute_error("model"), table.find_time_error(row.setting), table.find_mesh_error(row.setting.refinement)
+    )
 
 
 def judge_auto(table: ErrorTable) -> list[AutoVerdict]:
     """Return auto beside fixed settings for every mesh, implicit stepper and dt that it was run with."""
     limit = table.plan.tolerance / VOLUME_SHARE
-    out = []
+    verdicts = []
     for row in table.rows:
         s = row.setting
         if (s.law, s.rotation, s.iterations) != AUTO or "model_volume" not in row.deviations:
             continue
-        rivals = [one for one in table.rows if one.setting.law != "auto" and _are_comparable(one.setting, s)]
+        fixed = [other for other in table.rows if other.setting.law != "auto" and _are_comparable(other.setting, s)]
         seconds, volume = row.costs["seconds"], row.deviations["model_volume"]
-        met = max(table.plan.tolerance, volume)
-        enough = [one for one in rivals if one.deviations.get("model_volume", float("inf")) <= met]
-        best = min(enough, key=lambda one: one.costs["seconds"], default=None)
-        other = best.costs["seconds"] if best else None
-        out.append(
+        most = max(table.plan.tolerance, volume)
+        accurate = [other for other in fixed if other.deviations.get("model_volume", float("inf")) <= most]
+        best = min(accurate, key=lambda other: other.costs["seconds"], default=None)
+        rival_seconds = best.costs["seconds"] if best else None
+        verdicts.append(
             AutoVerdict(
-                s, seconds, row.costs["newton_iterations"], volume, best.setting if best else None, other,
+                s, seconds, row.costs["newton_iterations"], volume, best.setting if best else None,
+                rival_seconds,
                 best.costs["newton_iterations"] if best else None,
-                seconds / other if other else None, volume <= limit,
+                seconds / rival_seconds if rival_seconds else None, volume <= limit,
             )
         )  # fmt: skip
-    return out
+    return verdicts
 
 
-def _are_comparable(one: Setting, other: Setting) -> bool:
-    return (one.refinement, one.mass, one.stepper, one.dt) == (
+def _are_comparable(setting: Setting, other: Setting) -> bool:
+    return (setting.refinement, setting.mass, setting.stepper, setting.dt) == (
         other.refinement, other.mass, other.stepper, other.dt,
     )  # fmt: skip
 
@@ -120,9 +126,9 @@ def find_worst_auto(verdicts: Sequence[AutoVerdict]) -> AutoVerdict | None:
 
 
 def describe_choice(table: ErrorTable) -> str:
-    """Return the choice as one sentence: what to use, what a step costs, what a tenth of the error would cost."""
+    """Return the choice as one sentence: the setting, the cost of its steps, and the cost of a tenth of the error."""
     plan, rows = table.plan, list_choosable(table)
-    tolerance, sure = plan.tolerance, table.reference_error().time or 0.0
+    tolerance, reference_error = plan.tolerance, table.estimate_reference_errors().time or 0.0
     chosen, tighter = find_cheapest(rows, tolerance), find_cheapest(rows, tolerance / 10)
     if chosen is None:
         text = f"no setting that was run reaches {format_percent(tolerance)}" + _describe_nearest(rows)
@@ -132,25 +138,25 @@ def describe_choice(table: ErrorTable) -> str:
             f"for {format_percent(tolerance)} use {describe_setting(chosen.setting)}: {1e3 * steps:.3g} ms a step, "
             f"{1e3 * simulated:.3g} ms a simulated second; "
         )
-        if sure > tolerance / 10:
-            text += f"{format_percent(tolerance / 10)} cannot be told"
+        if reference_error > tolerance / 10:
+            text += f"{format_percent(tolerance / 10)} is below the accuracy of the reference"
         elif tighter is None:
             text += f"{format_percent(tolerance / 10)} was not reached" + _describe_nearest(rows)
         else:
             more = _compare_costs(tighter, chosen)
             text += f"{format_percent(tolerance / 10)} costs {more} ({describe_setting(tighter.setting)})"
-    if sure > tolerance / 10:
-        text += f"; the reference itself is good to {format_percent(sure)}: smaller steps (--dt) tell more"
-    mesh = table.mesh_error(1)
+    if reference_error > tolerance / 10:
+        text += f"; the reference itself has an error of {format_percent(reference_error)}: try smaller steps (--dt)"
+    mesh = table.find_mesh_error(1)
     if isfinite(mesh):
-        text += f"; the mesh itself is {format_percent(mesh)} from cells x {plan.refinements[-1]}"
+        text += f"; the mesh itself differs by {format_percent(mesh)} from cells x {plan.refinements[-1]}"
     return f"{plan.case.name}: {text}"
 
 
 def _describe_nearest(rows: Sequence[SettingRow]) -> str:
-    """Return the setting of the smallest error and that error, if there is any."""
-    best = min((row for row in rows if isfinite(row.error())), key=lambda row: row.error(), default=None)
-    return "" if best is None else f" ({format_percent(best.error())} by {describe_setting(best.setting)})"
+    """Return the smallest error and its setting in parentheses, or nothing."""
+    best = min((row for row in rows if isfinite(row.compute_error())), key=SettingRow.compute_error, default=None)
+    return "" if best is None else f" ({format_percent(best.compute_error())} by {describe_setting(best.setting)})"
 
 
 def _compare_costs(tighter: SettingRow, chosen: SettingRow) -> str:
@@ -159,7 +165,7 @@ def _compare_costs(tighter: SettingRow, chosen: SettingRow) -> str:
 
 
 def format_percent(value: float) -> str:
-    """Return a part as per cent with two digits."""
+    """Return a ratio in percent with two digits."""
     return f"{100 * value:.2g} %" if value < 1 else f"{100 * value:.0f} %"
 
 
@@ -167,23 +173,23 @@ def describe_setting(setting: Setting) -> str:
     """Return a setting in words."""
     model = {"linear": "the linear law", "auto": 'model = "auto"'}.get(setting.law)
     if model is None:
-        passes = setting.iterations
-        solved = "converged" if passes == "converged" else f"{passes} solve{'s' * (passes != '1')} a step"
-        if setting.stepper not in IMPLICIT:
-            solved = "explicit"
-        model = f"{setting.rotation.replace('_', '-')}, {solved}"
+        count = setting.iterations
+        solves = "converged" if count == "converged" else f"{count} solve{'s' * (count != '1')} a step"
+        if not STEPPERS[setting.stepper].is_implicit:
+            solves = "explicit"
+        model = f"{setting.rotation.replace('_', '-')}, {solves}"
     mesh = f", cells x {setting.refinement}" if setting.refinement > 1 else ""
     return f"{setting.stepper}, {model}, {setting.mass} mass, dt = {setting.dt:.4g} s{mesh}"
 
 
 def row_to_dict(row: SettingRow | None) -> dict[str, Any] | None:
-    """Return a row as JSON holds it."""
+    """Return a row as plain JSON; None if there is none."""
     if row is None:
         return None
     return {
         "setting": asdict(row.setting),
         "text": describe_setting(row.setting),
-        "error": row.error(),
+        "error": row.compute_error(),
         "costs": dict(row.costs),
         "deviations": dict(row.deviations),
     }
