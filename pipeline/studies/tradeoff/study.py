@@ -178,9 +178,8 @@ def _list_lines(table: ErrorTable, summary: dict[str, Any], worst: AutoVerdict |
     reference = table.estimate_reference_errors()
     order = "" if reference.order is None else f", order {reference.order:.2f}"
     step = f"dt = {plan.make_reference(1).dt:.3g} s"
-    lines = [
-        f"reference: {REFERENCE_STEPPER}, converged, {step}; its own error is about {_format_error(reference.time)}{order}"
-    ]
+    error = f"its own error is about {_format_error(reference.time)}{order}"
+    lines = [f"reference: {REFERENCE_STEPPER}, converged, {step}; {error}"]
     if reference.mesh is not None:
         lines.append(
             f"finest mesh: cells x {plan.refinements[-1]}; its own error is about {_format_error(reference.mesh)}, "
