@@ -129,7 +129,8 @@ def test_heavy_packages_are_imported_where_they_are_used(path):
 
 
 def test_importing_the_package_costs_nothing_heavy():
-    code = "import pipeline, sys; [getattr(pipeline, n) for n in pipeline.__all__]; print(*sorted({name.split('.')[0] for name in sys.modules}))"
+    use = "import pipeline, sys; [getattr(pipeline, name) for name in pipeline.__all__]"
+    code = f"{use}; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert set(run.stdout.split()) & HEAVY == set()
 
