@@ -1,4 +1,7 @@
-"""From cells to nodes: the block pattern of the mesh's symmetric matrices, computed once, and the sums over it."""
+"""Assembly: the sparsity pattern of a mesh's symmetric block matrices, and sums of cell matrices into it.
+
+The pattern is computed once for a mesh; a matrix is then an array of values.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,10 +15,10 @@ from pipeline.mesh.simplex import Mesh
 
 @dataclass(frozen=True, eq=False)
 class BlockPattern:
-    """Where a symmetric matrix of d x d blocks has entries on and below its diagonal: compressed rows.
+    """The blocks of a symmetric matrix of d x d blocks on and below its diagonal, in compressed rows.
 
-    Values are (blocks, d, d); above the diagonal stand their transposes. The diagonal block is the last of its row.
-    Row k is that of node `order[k]`.
+    Values are (blocks, d, d); blocks above the diagonal are their transposes. The diagonal block is the last of its
+    row. Row k belongs to node `order[k]`.
     """
 
     indptr: Ints
@@ -40,12 +43,12 @@ class BlockPattern:
 
     @cached_property
     def diagonal(self) -> Ints:
-        """Return the block on the diagonal of every row."""
+        """Return the number of the diagonal block of every row."""
         return self.indptr[1:] - 1
 
     @cached_property
-    def _whole(self) -> tuple[Ints, Ints, Ints, Ints]:
-        """Return the off-diagonal blocks, and of the whole matrix in nodes: which block goes where, indptr, indices."""
+    def _full_pattern(self) -> tuple[Ints, Ints, Ints, Ints]:
+        """Return the off-diagonal blocks, and the order of blocks, indptr and indices of the full matrix."""
         off = np.flatnonzero(self.rows != self.indices)
         i, j = self.order[self.rows], self.order[self.indices]
         rows, columns = np.concatenate([i, j[off]]), np.concatenate([j, i[off]])
@@ -54,8 +57,8 @@ class BlockPattern:
         return off, sort, indptr, columns[sort]
 
     def matrix(self, values: Floats) -> bsr_array:
-        """Return the whole matrix, its rows and columns in the order of the nodes."""
-        off, sort, indptr, indices = self._whole
+        """Return the full matrix, rows and columns in node order."""
+        off, sort, indptr, indices = self._full_pattern
         both = np.concatenate([values, np.swapaxes(values[off], 1, 2)])[sort]
         size = self.dimension * self.nodes
         return bsr_array((both, indices, indptr), shape=(size, size))
@@ -67,57 +70,58 @@ class BlockPattern:
         return self.indices if in_order else self.order[self.indices]
 
     def multiply(self, values: Floats, x: Floats, out: Floats) -> Floats:
-        """Write the matrix times x (n, d) into out, both in the order of the nodes, and return it."""
+        """Write the matrix times x (n, d) into out, both in node order, and return it."""
         from pipeline.fem.kernels.blocks import multiply
 
         multiply(self.indptr, self.columns, self.order, values, x, out)
         return out
 
     def leading(self, count: int) -> "BlockPattern":
-        """Return the pattern of the first `count` rows and columns; its values are the first of ours."""
+        """Return the pattern of the first `count` rows and columns; its values are the first ones of this pattern."""
         last = self.indptr[count]
         return BlockPattern(self.indptr[: count + 1], self.indices[:last], self.dimension, np.arange(count))
 
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """The pattern of a mesh; `corners` (e, d + 1) sorts a cell's corners by row, and then `pairs` names their blocks.
+    """The pattern of a mesh and the map from cells into it.
 
-    `pairs` (e, (d + 1)(d + 2)/2) are those of the corners (0, 0), (1, 0), (1, 1), (2, 0), …
+    `corners` (e, d + 1) sorts the corners of each cell by row. `pairs` (e, (d + 1)(d + 2)/2) are then the blocks of the
+    corners (0, 0), (1, 0), (1, 1), (2, 0), …
     """
 
     pattern: BlockPattern
     corners: Ints
     pairs: Ints
 
-    def sum_scalars(self, per_pair: Floats) -> Floats:
-        """Return the block sums (blocks,) of one symmetric number a pair of corners (e, d + 1, d + 1)."""
-        return self.sum_blocks(per_pair[:, :, None, :, None])[:, 0, 0]
+    def sum_scalars(self, cell_matrices: Floats) -> Floats:
+        """Return the values (blocks,) of the sum of symmetric cell matrices (e, d + 1, d + 1)."""
+        return self.sum_blocks(cell_matrices[:, :, None, :, None])[:, 0, 0]
 
-    def sum_blocks(self, per_pair: Floats) -> Floats:
-        """Return the values (blocks, k, k) of the cells' symmetric matrices (e, d + 1, k, d + 1, k)."""
-        k, corners = per_pair.shape[2], self.corners
+    def sum_blocks(self, cell_matrices: Floats) -> Floats:
+        """Return the values (blocks, k, k) of the sum of symmetric cell matrices (e, d + 1, k, d + 1, k)."""
+        k, corners = cell_matrices.shape[2], self.corners
         a, b = np.tril_indices(corners.shape[1])
         cells = np.arange(len(corners))[:, None]
-        lower = per_pair[cells, corners[:, a], :, corners[:, b], :].reshape(-1, k * k)
-        sums = [np.bincount(self.pairs.ravel(), weights=one, minlength=self.pattern.blocks) for one in lower.T]
+        lower = cell_matrices[cells, corners[:, a], :, corners[:, b], :].reshape(-1, k * k)
+        sums = [np.bincount(self.pairs.ravel(), weights=entry, minlength=self.pattern.blocks) for entry in lower.T]
         return np.asarray(np.stack(sums, axis=1), np.float64).reshape(-1, k, k)
 
 
-def corners_by_row(mesh: Mesh, order: Ints) -> Ints:
-    """Return the corners (e, d + 1) of every cell, sorted by the row of their node; row k is node order[k]."""
+def sort_corners(mesh: Mesh, order: Ints) -> Ints:
+    """Return the corners of every cell (e, d + 1) sorted by the rows of their nodes; row k belongs to node order[k]."""
     return np.argsort(np.argsort(order)[mesh.cells], axis=1)
 
 
 def assemble_pattern(mesh: Mesh, order: Ints | None = None) -> Assembly:
-    """Return the assembly of a mesh whose row k is node order[k]; by default the nodes as they come."""
+    """Return the assembly of a mesh; row k belongs to node order[k], by default to node k."""
     n = len(mesh.points)
     order = np.arange(n) if order is None else order
-    corners = corners_by_row(mesh, order)
+    corners = sort_corners(mesh, order)
     cells = np.argsort(order)[np.take_along_axis(mesh.cells, corners, axis=1)]
     a, b = np.tril_indices(cells.shape[1])
     keys = (cells[:, a] * n + cells[:, b]).ravel()
-    # a node that no cell uses still has its (zero) diagonal block
+    # a node without cells has a zero block on the diagonal too
     blocks, pairs = np.unique(np.concatenate([keys, np.arange(n) * (n + 1)]), return_inverse=True)
     indptr = np.concatenate([[0], np.cumsum(np.bincount(blocks // n, minlength=n))])
     pattern = BlockPattern(indptr, blocks % n, mesh.dimension, order)

@@ -1,4 +1,9 @@
-"""A body: mesh, law, mass, supports and loads, and the global vectors and matrices that steppers ask for."""
+"""A body: mesh, law, mass, supports and loads, and the vectors and matrices of its equation of motion.
+
+    M dv/dt = f_ext + f_el(x),    f_el,a = -sum_cells V P grad N_a,    K = -df_el/dx
+
+Body sums over cells with numpy, for every law; compiled_body.py computes the same with compiled kernels.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,9 +25,9 @@ from pipeline.mesh.simplex import Mesh
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """The body that moves: mesh, law, supports, loads and mass model.
+    """A body; `load` (n, d) [N] is the sum of constant dead loads, `varying_load` returns the others at a time [s].
 
-    `load` (n, d) [N] is the sum of the constant dead loads; `varying_load` returns the others at a time [s].
+    Methods write into `out` if it is given. Returned arrays belong to the caller, unless stated otherwise.
     """
 
     mesh: Mesh
@@ -39,54 +44,54 @@ class Body:
 
     @cached_property
     def order(self) -> Ints:
-        """Return the node of every row of a matrix: the free ones, then the held ones."""
+        """Return the node of every matrix row: free nodes first, then held ones."""
         return np.concatenate([self.free, np.flatnonzero(~self.free_mask)])
 
     @cached_property
     def assembly(self) -> Assembly:
-        """Return the block pattern of all nodes, the free ones first, and the map into it."""
+        """Return the block pattern of all nodes, free ones first, and the map from cells into it."""
         return assemble_pattern(self.mesh, self.order)
 
     @property
     def pattern(self) -> BlockPattern:
-        """Return the block pattern of all nodes, the free ones first."""
+        """Return the block pattern of all nodes, free ones first."""
         return self.assembly.pattern
 
     @cached_property
     def free(self) -> Ints:
-        """Return the nodes that no support holds."""
+        """Return the nodes without support."""
         return np.flatnonzero(self.free_mask)
 
     @cached_property
     def free_mask(self) -> np.ndarray:
-        """Return, for each node, whether no support holds it."""
+        """Return for each node whether it has no support."""
         mask = np.ones(len(self.mesh.points), dtype=bool)
         mask[self.supports.nodes] = False
         return mask
 
     @cached_property
     def free_pattern(self) -> BlockPattern:
-        """Return the pattern of the free nodes; its values are the first of those of `pattern`."""
+        """Return the pattern of the free nodes; its values are the first ones of `pattern`."""
         return self.pattern.leading(len(self.free))
 
     @cached_property
     def mass(self) -> Floats:
-        """Return the mass matrix' values (blocks, d, d) [kg]."""
+        """Return the values of the mass matrix M (blocks, d, d) [kg]."""
         return self._nodal_mass[:, None, None] * np.eye(self.mesh.dimension)
 
     @cached_property
     def _nodal_mass(self) -> Floats:
-        """Return the mass matrix' values without their d-fold repetition (blocks,) [kg]."""
+        """Return the values of M without their d-fold repetition (blocks,) [kg]."""
         return self.assembly.sum_scalars(self.mass_model.cell_masses(self.mesh, self.material.density))
 
     @cached_property
     def lumped_mass(self) -> Floats:
-        """Return the row sums of the mass matrix (n,) [kg]."""
+        """Return the row sums of M (n,) [kg]."""
         return self.material.density * self.mesh.node_volumes
 
     @cached_property
     def frequency_bound(self) -> float:
-        """Return what no frequency of the body at rest with lumped masses exceeds [rad/s]; cheap, a few times too high.
+        """Return an upper bound on the frequencies at rest with lumped masses [rad/s]: cheap, a few times too high.
 
         In a cell omega^2 <= (lam + 2 mu) V sum_a |grad N_a|^2 over the mass of a corner, rho V / (d + 1).
         """
@@ -99,15 +104,15 @@ class Body:
         return np.asarray(self.mesh.points[self.supports.nodes])
 
     def held_positions(self, time: float) -> Floats:
-        """Return where the supports hold their nodes (k, d) at a time [s]; not to be changed."""
+        """Return the positions of the held nodes (k, d) at a time [s]; the caller must not change them."""
         return self.supports.positions(self.mesh.points, time) if self.supports.motions else self._held_at_rest
 
     def load_at(self, time: float) -> Floats:
-        """Return all dead loads (n, d) [N] at a time [s]; the caller must not change them."""
+        """Return all dead loads f_ext (n, d) [N] at a time [s]; the caller must not change them."""
         return self.load if self.varying_load is None else self.load + self.varying_load(time)
 
     def momentum(self, v: Floats, out: Floats | None = None) -> Floats:
-        """Return M v (n, d) [kg m/s], in `out` where that is given; lumped masses need no matrix."""
+        """Return M v (n, d) [kg m/s]; lumped masses need no matrix."""
         out = np.empty_like(v) if out is None else out
         if self.mass_model.is_diagonal:
             return np.multiply(self.lumped_mass[:, None], v, out=out)
@@ -118,11 +123,11 @@ class Body:
         return out
 
     def rotations(self, x: Floats) -> Floats:
-        """Return the law's frame of every cell (e, d, d) at positions x (n, d)."""
+        """Return the rotations of the law (e, d, d) at positions x (n, d)."""
         return self.law.rotations(deformation_gradient(self.mesh, x))
 
     def nodal_rotations(self, x: Floats, out: Floats | None = None) -> Floats:
-        """Return how the cells about each node have turned (n, d, d): the polar rotation of their mean gradient."""
+        """Return for each node the polar rotation of the mean F of its cells (n, d, d)."""
         V, F = self.mesh.rest_volumes, deformation_gradient(self.mesh, x)
         e, d = F.shape[:2]
         share = np.broadcast_to((V[:, None] * F.reshape(e, d * d))[:, None], (e, d + 1, d * d))
@@ -138,43 +143,43 @@ class Body:
         return float(self.mesh.rest_volumes @ self.law.energy_density(F, self.law.rotations(F)))
 
     def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
-        """Return the elastic forces ON the nodes (n, d) [N], with the rotations R where given, in `out` where given."""
+        """Return the elastic forces ON the nodes f_el (n, d) [N], with the rotations R (e, d, d) if given."""
         F = deformation_gradient(self.mesh, x)
         out = np.empty_like(x) if out is None else out
         out[:] = nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
         return out
 
     def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
-        """Have kernels loaded, or compiled, before the steps that will ask for them.
+        """Load, or compile, the kernels that later steps need, so that no timed step does.
 
-        Those of one solve, or of forces alone; on demand those that judge rotations, and those of Newton's method.
+        These are the kernels of one solve, or of forces alone, and optionally those of frame errors and tangents.
         """
         if solves:
             self.momentum(np.zeros_like(self.mesh.points))
 
     def update_rotations(self, x: Floats, R: Floats) -> float:
-        """Write the law's frame of every cell into R (e, d, d); return the spurious volume of the most turned one."""
+        """Write the rotations of the law into R (e, d, d); return the spurious volume of the largest."""
         R[:] = self.rotations(x)
         return spurious_volume(float(np.trace(R, axis1=1, axis2=2).min()), x.shape[1])
 
     def measure_frame_error(self, x: Floats, used: Floats | None, reached: Floats) -> FrameError:
-        """Write the rotations at x into reached (e, d, d); return how far they are from those used, None for I."""
+        """Write the rotations at x into reached (e, d, d); return their frame error from those used (None: I)."""
         return measure_frame_error(self.law, deformation_gradient(self.mesh, x), used, reached)
 
     def bound_frame_error(self, x: Floats) -> float:
-        """Return what the indicator of measure_frame_error(x, None) does not exceed, without finding rotations.
+        """Return an upper bound on the indicator of measure_frame_error(x, None), which costs no rotations.
 
-        It is infinite where nothing can be said.
+        It is infinite if no bound is known.
         """
         return np.inf
 
     def linearize(self, x: Floats, R: Floats | None = None, kind: Tangent = "frozen") -> tuple[Floats, Floats]:
-        """Return the elastic forces (n, d) [N] and the values of K = -df/dx (blocks, d, d) [N/m]."""
+        """Return the elastic forces (n, d) [N] and the values of K (blocks, d, d) [N/m]."""
         f, K = np.empty_like(x), np.zeros((self.pattern.blocks, x.shape[1], x.shape[1]))
         self.add_stiffness(x, 1.0, f, K, R=R, kind=kind)
         return f, K
 
-    def system(
+    def assemble_system(
         self, x: Floats, h: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
     ) -> None:
         """Write the elastic forces into f (n, d) [N] and the values of M + h^2 K into A (blocks, d, d) [kg]."""

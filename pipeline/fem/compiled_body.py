@@ -1,4 +1,4 @@
-"""Bodies whose sums over cells are compiled: those of the corotational and of the linear law."""
+"""Bodies with the corotational or the linear law, whose sums over cells are compiled."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Floats
-from pipeline.fem.assembly import corners_by_row
+from pipeline.fem.assembly import sort_corners
 from pipeline.fem.body import Body
 from pipeline.fem.frame_error import FrameError, indicator, spurious_volume
 from pipeline.fem.laws import CREASE, Corotational, Law, Linear, Tangent
@@ -21,7 +21,7 @@ from pipeline.mesh.simplex import Mesh
 
 @dataclass(frozen=True, eq=False)
 class CompiledBody(Body):
-    """The same numbers as Body, to rounding, from kernels/tetrahedron.py and, in the plane, kernels/triangle.py."""
+    """Equal to Body up to rounding; it sums over cells by kernels/tetrahedron.py or, in the plane, triangle.py."""
 
     @cached_property
     def _rotation(self) -> int:
@@ -31,26 +31,23 @@ class CompiledBody(Body):
 
     @cached_property
     def _kernels(self) -> Any:
-        from pipeline.fem.kernels import tetrahedron as kernels
-        from pipeline.fem.kernels import triangle as plane_kernels
+        from pipeline.fem.kernels import tetrahedron, triangle
 
-        return kernels if self.mesh.dimension == 3 else plane_kernels
+        return tetrahedron if self.mesh.dimension == 3 else triangle
 
     @cached_property
     def _frame_error_kernels(self) -> Any:
-        from pipeline.fem.kernels import frame_error as turning_kernels
-        from pipeline.fem.kernels import triangle as plane_kernels
+        from pipeline.fem.kernels import frame_error, triangle
 
-        return turning_kernels if self.mesh.dimension == 3 else plane_kernels
+        return frame_error if self.mesh.dimension == 3 else triangle
 
     @cached_property
     def _tangent_kernels(self) -> Any:
-        from pipeline.fem.kernels import tangent as tangent_kernels
-        from pipeline.fem.kernels import triangle as plane_kernels
+        from pipeline.fem.kernels import tangent, triangle
 
-        return tangent_kernels if self.mesh.dimension == 3 else plane_kernels
+        return tangent if self.mesh.dimension == 3 else triangle
 
-    def __getstate__(self) -> dict[str, Any]:  # modules do not travel to another process
+    def __getstate__(self) -> dict[str, Any]:  # modules cannot be pickled
         return {name: value for name, value in vars(self).items() if not isinstance(value, ModuleType)}
 
     @cached_property
@@ -59,12 +56,12 @@ class CompiledBody(Body):
 
     @cached_property
     def _cells(self) -> tuple[Any, ...]:
-        """Return what kernels take after x: cells, gradients of all but their first corner, volumes, mu, lam.
+        """Return the kernels' arguments after x: cells, gradients of all but their first corner, volumes, mu, lam.
 
-        The corners of a cell stand in the order of their rows, so that its blocks lie below the diagonal. In space
-        the gradients come in blocks of LANES cells (blocks, 9, LANES), entries first; the last cell fills the last one.
+        The corners of a cell are in the order of their rows, so that its blocks lie on or below the diagonal. In space
+        the gradients are in blocks of LANES cells (blocks, 9, LANES); copies of the last cell fill the last block.
         """
-        m, corners = self.material, corners_by_row(self.mesh, self.order)
+        m, corners = self.material, sort_corners(self.mesh, self.order)
         cells = np.take_along_axis(self.mesh.cells, corners, axis=1)
         G = np.take_along_axis(self.mesh.shape_gradients, corners[:, 1:, None], axis=1)
         if self.mesh.dimension == 3:
@@ -78,10 +75,10 @@ class CompiledBody(Body):
         return self.assembly.pairs.astype(np.int32)
 
     def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
-        """Call the kernels of a step on no cells: they are compiled, or loaded, here."""
+        """Call the kernels of later steps on no cells, which loads, or compiles, them."""
         super().warm_up(solves=solves)
         cells, G, V, mu, lam = self._cells
-        X, none, nothing = _plain(self.mesh.points), (cells[:0], G[:0], V[:0], mu, lam), self._no_rotations
+        X, none, nothing = _to_contiguous(self.mesh.points), (cells[:0], G[:0], V[:0], mu, lam), self._no_rotations
         self._kernels.energy(X, *none, self._rotation)
         f = np.empty_like(X)
         if solves:
@@ -98,50 +95,51 @@ class CompiledBody(Body):
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, d)."""
-        return float(self._kernels.energy(_plain(x), *self._cells, self._rotation))
+        return float(self._kernels.energy(_to_contiguous(x), *self._cells, self._rotation))
 
     def rotations(self, x: Floats) -> Floats:
-        """Return the law's rotation of every cell (e, d, d)."""
+        """Return the rotations of the law (e, d, d) at positions x (n, d)."""
         R = np.empty((len(self.mesh.cells), *self._no_rotations.shape[1:]))
         self.update_rotations(x, R)
         return R
 
     def nodal_rotations(self, x: Floats, out: Floats | None = None) -> Floats:
-        """Return the polar rotation of each node's mean gradient (n, d, d), in `out` where that is given."""
+        """Return for each node the polar rotation of the mean F of its cells (n, d, d)."""
         R = np.empty((len(x), *self._no_rotations.shape[1:])) if out is None else out
-        self._kernels.nodal_rotations(_plain(x), *self._cells[:3], R)
+        self._kernels.nodal_rotations(_to_contiguous(x), *self._cells[:3], R)
         return R
 
     def update_rotations(self, x: Floats, R: Floats) -> float:
-        """Write the law's rotations into R (e, d, d); return the spurious volume of the most turned one."""
-        return spurious_volume(self._kernels.rotations(_plain(x), *self._cells[:2], self._rotation, R), x.shape[1])
+        """Write the rotations of the law into R (e, d, d); return the spurious volume of the largest."""
+        least_trace = self._kernels.rotations(_to_contiguous(x), *self._cells[:2], self._rotation, R)
+        return spurious_volume(least_trace, x.shape[1])
 
     def measure_frame_error(self, x: Floats, used: Floats | None, reached: Floats) -> FrameError:
-        """Write the rotations at x into reached (e, d, d); return how far they are from those used, None for I."""
+        """Write the rotations at x into reached (e, d, d); return their frame error from those used."""
         if self._rotation != POLAR:
             return super().measure_frame_error(x, used, reached)
         cells, G, _, mu, lam = self._cells
         before, d = self._no_rotations if used is None else used, x.shape[1]
         trace, stress, own = self._frame_error_kernels.measure_frame_error(
-            _plain(x), cells, G, mu, lam, before, reached
+            _to_contiguous(x), cells, G, mu, lam, before, reached
         )
         return FrameError(indicator(trace, d, stress, self.material), spurious_volume(own, d))
 
     def bound_frame_error(self, x: Floats) -> float:
-        """Return what the indicator of measure_frame_error(x, None) does not exceed, without finding rotations."""
+        """Return an upper bound on the indicator of measure_frame_error(x, None), which costs no rotations."""
         if self._rotation != POLAR:
             return super().bound_frame_error(x)
         cells, G, _, mu, lam = self._cells
-        tangent, stress = self._frame_error_kernels.bound_frame_error(_plain(x), cells, G, mu, lam)
-        cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, by that of its half
+        tangent, stress = self._frame_error_kernels.bound_frame_error(_to_contiguous(x), cells, G, mu, lam)
+        cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, from the tangent of its half
         return indicator(2 * cosine + x.shape[1] - 2, x.shape[1], stress, self.material)
 
     def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
-        """Return the elastic forces ON the nodes (n, d) [N]; with given rotations the plain way."""
+        """Return the elastic forces ON the nodes (n, d) [N]; with given R by numpy, as in Body."""
         if R is not None:
             return super().force(x, R, out=out)
         f = np.empty_like(x) if out is None else out
-        self._kernels.force(_plain(x), *self._cells, self._rotation, f)
+        self._kernels.force(_to_contiguous(x), *self._cells, self._rotation, f)
         return f
 
     def add_stiffness(
@@ -151,7 +149,7 @@ class CompiledBody(Body):
         if kind != "frozen" and (R is not None or self._rotation != POLAR):
             super().add_stiffness(x, scale, f, A, R=R, kind=kind)
             return
-        x, used = _plain(x), self._no_rotations if R is None else _plain(R)
+        x, used = _to_contiguous(x), self._no_rotations if R is None else _to_contiguous(R)
         self._kernels.linearize(x, *self._cells, self._rotation, self._pairs, scale, R is not None, used, f, A)
         if kind != "frozen":
             projected = kind == "projected"
@@ -160,20 +158,20 @@ class CompiledBody(Body):
 
 @dataclass(frozen=True, eq=False)
 class LinearBody(CompiledBody):
-    """The same for the linear law: its forces are K (X - x), and no cell is visited again."""
+    """A body with the linear law: forces are K (X - x), with K summed over cells once."""
 
     @cached_property
     def stiffness(self) -> Floats:
-        """Return the values of K (blocks, d, d) [N/m], summed over the cells once."""
+        """Return the values of K (blocks, d, d) [N/m]."""
         return self.linearize(self.mesh.points)[1]
 
     def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
-        """Return the elastic forces ON the nodes (n, d) [N], in `out` where that is given; R is not used."""
+        """Return the elastic forces ON the nodes (n, d) [N]; R is not used."""
         from pipeline.fem.kernels.blocks import multiply_difference
 
         f, X = np.empty_like(x) if out is None else out, self.mesh.points
         indptr, columns, order = self.pattern.indptr, self.pattern.columns, self.pattern.order
-        multiply_difference(indptr, columns, order, self.stiffness, X, _plain(x), f)
+        multiply_difference(indptr, columns, order, self.stiffness, X, _to_contiguous(x), f)
         return f
 
     def energy(self, x: Floats) -> float:
@@ -188,15 +186,15 @@ class LinearBody(CompiledBody):
         self.energy(self.mesh.points)
 
 
-def _plain(x: Floats) -> Floats:
-    """Return x as the one kind of array that kernels are compiled for: contiguous and writable."""
-    if x.flags.carray and x.dtype == np.float64:  # np.require takes microseconds to find that out
+def _to_contiguous(x: Floats) -> Floats:
+    """Return x as a contiguous, writable float64 array, the only kind that kernels are compiled for."""
+    if x.flags.carray and x.dtype == np.float64:  # np.require takes microseconds for the same check
         return x
     return np.require(x, np.float64, ["C", "W"])
 
 
 def find_rotation_number(law: Law) -> int | None:
-    """Return the number by which kernels know the rotation of a law, None for a law or rotation without a kernel."""
+    """Return the kernels' number for the rotation of a law, None for a law or rotation without a kernel."""
     if isinstance(law, Linear):
         return IDENTITY
     return law.rotation.number if isinstance(law, Corotational) else None
@@ -210,7 +208,7 @@ def make_body(
     mass_model: MassModel,
     varying_load: Callable[[float], Floats] | None = None,
 ) -> Body:
-    """Return the body that is fastest for a law; a law that is none of ours has the plain one."""
+    """Return the fastest body for a law; one without a kernel gets the plain Body."""
     kind = Body
     if isinstance(law, Linear):
         kind = LinearBody

@@ -114,7 +114,7 @@ def _describe_systems(body: Body, h: float, method: MethodSpec) -> SystemSetting
 
     def assemble() -> Floats:
         A = np.empty_like(body.mass)
-        body.system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
+        body.assemble_system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
         return A[: body.free_pattern.blocks]
 
     return SystemSettings(body.free_pattern, method.linear_rtol, RestState(body.mesh.points[body.free], assemble))

@@ -86,7 +86,7 @@ class StageSystem:
 
     def linearize(self, x: Floats, h: float, R: Floats | None = None, kind: Tangent = "frozen") -> Work:
         """Assemble A and f_el at positions x (n, d) and give A to the solver."""
-        self.body.system(x, h, self.f, self.A, R=R, kind=kind)
+        self.body.assemble_system(x, h, self.f, self.A, R=R, kind=kind)
         return self.update_solver(x)
 
     def update_solver(self, x: Floats) -> Work:

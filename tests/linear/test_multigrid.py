@@ -16,7 +16,7 @@ def at_rest(cases_folder, h: float = 0.07, **keys: object) -> tuple[bsr_array, n
     """M + h^2 K of the bar's free nodes, and their positions."""
     body = build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant("polar")).body
     A = np.empty_like(body.mass)
-    body.system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
+    body.assemble_system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
     return body.free_pattern.matrix(A[: body.free_pattern.blocks]), body.mesh.points[body.free]
 
 
