@@ -6,8 +6,8 @@ Numba does not notice changes of rotation.py and tetrahedron.py, which are compi
 import numpy as np
 from numba import njit
 
-from pipeline.fem.kernels.rotation import LANES, _lanes, _load, _polar, _store
-from pipeline.fem.kernels.tetrahedron import _gradients, _stresses
+from pipeline.fem.kernels.rotation import LANES, allocate_lanes, find_polar_rotations, load_lanes, store_lanes
+from pipeline.fem.kernels.tetrahedron import compute_gradients, compute_stresses
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -17,18 +17,18 @@ def measure_frame_error(x, cells, G, mu, lam, used, reached):
     They are the smallest tr(U^T R), the largest |P(F,R) - P(F,U)| and the smallest tr R; traces are NaN if x has NaN.
     U are the rotations `used` (e, 3, 3), or identities if `used` is empty.
     """
-    F, R, P, W, root, good, C = _lanes()
+    F, R, P, W, root, good, C = allocate_lanes()
     U, Q = np.zeros((9, LANES)), np.zeros((9, LANES))
     U[0], U[4], U[8] = 1.0, 1.0, 1.0
     least, largest, own, finite = 3.0, 0.0, 3.0, 0.0
     for first in range(0, len(reached), LANES):
         count = min(LANES, len(reached) - first)
-        _gradients(x, cells, G[first // LANES], first, P, F)
-        _polar(F, count, R, root, good, C)
+        compute_gradients(x, cells, G[first // LANES], first, P, F)
+        find_polar_rotations(F, count, R, root, good, C)
         if len(used) > 0:
-            _load(used, first, count, U)
-        _stresses(F, R, mu, lam, P, W)
-        _stresses(F, U, mu, lam, Q, W)
+            load_lanes(used, first, count, U)
+        compute_stresses(F, R, mu, lam, P, W)
+        compute_stresses(F, U, mu, lam, Q, W)
         for l in range(count):
             trace = apart = 0.0
             for k in range(9):
@@ -36,7 +36,7 @@ def measure_frame_error(x, cells, G, mu, lam, used, reached):
                 apart += (P[k, l] - Q[k, l]) ** 2
             least, largest, own = min(least, trace), max(largest, apart), min(own, R[0, l] + R[4, l] + R[8, l])
             finite += 0.0 * apart
-        _store(R, first, count, reached)
+        store_lanes(R, first, count, reached)
     return least + finite, np.sqrt(largest), own + finite
 
 
@@ -53,7 +53,7 @@ def bound_frame_error(x, cells, G, mu, lam):
     F, D = np.zeros((9, LANES)), np.zeros((9, LANES))
     tangents, strains = np.zeros(LANES), np.zeros(LANES)
     for first in range(0, len(cells), LANES):
-        _gradients(x, cells, G[first // LANES], first, D, F)
+        compute_gradients(x, cells, G[first // LANES], first, D, F)
         for l in range(LANES):
             a0, a1, a2 = F[7, l] - F[5, l], F[2, l] - F[6, l], F[3, l] - F[1, l]
             axial = a0 * a0 + a1 * a1 + a2 * a2

@@ -6,8 +6,8 @@ Numba does not notice changes of rotation.py and tetrahedron.py, which are compi
 import numpy as np
 from numba import njit
 
-from pipeline.fem.kernels.rotation import LANES, _lanes, _polar
-from pipeline.fem.kernels.tetrahedron import _gradients
+from pipeline.fem.kernels.rotation import LANES, allocate_lanes, find_polar_rotations
+from pipeline.fem.kernels.tetrahedron import compute_gradients
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -16,7 +16,7 @@ def volumes_and_angles(x, cells, G, volumes, angles):
 
     G (e, 4, 3) are the gradients of all corners; 2 sin and 2 cos of the angle are |axial(R - R^T)| and tr R - 1.
     """
-    F, R, D, _, root, good, C = _lanes()
+    F, R, D, _, root, good, C = allocate_lanes()
     corners, g = np.zeros((LANES, 4), np.int64), np.zeros((9, LANES))
     for first in range(0, len(cells), LANES):
         count = min(LANES, len(cells) - first)
@@ -25,8 +25,8 @@ def volumes_and_angles(x, cells, G, volumes, angles):
                 corners[l, a] = cells[first + l, a]
             for k in range(9):
                 g[k, l] = G[first + l, 1 + k // 3, k % 3]
-        _gradients(x, corners, g, 0, D, F)
-        _polar(F, count, R, root, good, C)
+        compute_gradients(x, corners, g, 0, D, F)
+        find_polar_rotations(F, count, R, root, good, C)
         for l in range(count):
             # D[3 i + k] is component i of edge k; the order of signed_volumes gives the same bits
             six = D[0, l] * (D[4, l] * D[8, l] - D[5, l] * D[7, l])

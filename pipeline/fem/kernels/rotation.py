@@ -176,7 +176,7 @@ def _jacobi_rotation(F, R, lane):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _polar(F, count, R, root, good, C):
+def find_polar_rotations(F, count, R, root, good, C):
     """Write the closest rotations to the first `count` lanes of F (9, LANES) into R; the rest is scratch."""
     _quartics(F, C)
     _largest_roots(C, root)
@@ -266,10 +266,10 @@ def _gram_schmidt(F, count, R, good):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _rotate(rotation, F, count, R, root, good, C):
+def find_rotations(rotation, F, count, R, root, good, C):
     """Write the rotations POLAR, GRAM_SCHMIDT or IDENTITY of `count` lanes of F into R; the rest is scratch."""
     if rotation == POLAR:
-        _polar(F, count, R, root, good, C)
+        find_polar_rotations(F, count, R, root, good, C)
     elif rotation == GRAM_SCHMIDT:
         _gram_schmidt(F, count, R, good)
     else:
@@ -279,14 +279,14 @@ def _rotate(rotation, F, count, R, root, good, C):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _lanes():
-    """Return buffers: F, R, P (9, LANES), W (LANES,), and root, good and C of _polar."""
+def allocate_lanes():
+    """Return buffers: F, R, P (9, LANES), W (LANES,), and root, good and C of find_polar_rotations."""
     F, R, P = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES))
     return F, R, P, np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros((3, LANES))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _load(A, first, count, lanes):
+def load_lanes(A, first, count, lanes):
     """Copy A[first : first + count] (…, 3, 3) into lanes (9, LANES)."""
     for l in range(count):
         for i in range(3):
@@ -295,7 +295,7 @@ def _load(A, first, count, lanes):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _store(lanes, first, count, A):
+def store_lanes(lanes, first, count, A):
     """Copy lanes (9, LANES) into A[first : first + count] (…, 3, 3)."""
     for l in range(count):
         for i in range(3):
@@ -306,9 +306,9 @@ def _store(lanes, first, count, A):
 @njit(cache=True, error_model="numpy", nogil=True)
 def polar_rotations(A, R):
     """Write the closest rotation to each A (e, 3, 3) into R, which may be A itself."""
-    F, Q, _, _, root, good, C = _lanes()
+    F, Q, _, _, root, good, C = allocate_lanes()
     for first in range(0, len(A), LANES):
         count = min(LANES, len(A) - first)
-        _load(A, first, count, F)
-        _polar(F, count, Q, root, good, C)
-        _store(Q, first, count, R)
+        load_lanes(A, first, count, F)
+        find_polar_rotations(F, count, Q, root, good, C)
+        store_lanes(Q, first, count, R)

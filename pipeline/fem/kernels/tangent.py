@@ -11,8 +11,8 @@ Numba does not notice changes of rotation.py and tetrahedron.py, which are compi
 import numpy as np
 from numba import njit
 
-from pipeline.fem.kernels.rotation import LANES, _lanes, _polar, jacobi
-from pipeline.fem.kernels.tetrahedron import _gradients
+from pipeline.fem.kernels.rotation import LANES, allocate_lanes, find_polar_rotations, jacobi
+from pipeline.fem.kernels.tetrahedron import compute_gradients
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -72,12 +72,12 @@ def _cross_gradients(G, R, lane, w):
 @njit(cache=True, error_model="numpy", nogil=True)
 def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
     """Add scale times the term above to A (blocks, 3, 3); `projected` leaves out negative factors."""
-    F, R, _, _, root, good, C = _lanes()
+    F, R, _, _, root, good, C = allocate_lanes()
     S, Q, H, w = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3, 3))
     for first in range(0, len(V), LANES):
         count = min(LANES, len(V) - first)
-        _gradients(x, cells, G[first // LANES], first, R, F)
-        _polar(F, count, R, root, good, C)
+        compute_gradients(x, cells, G[first // LANES], first, R, F)
+        find_polar_rotations(F, count, R, root, good, C)
         for l in range(count):
             _stretch(F, R, l, S)
             trace = S[0, 0] + S[1, 1] + S[2, 2]

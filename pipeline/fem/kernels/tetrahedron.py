@@ -11,11 +11,18 @@ and scattering to them goes cell by cell.
 import numpy as np
 from numba import njit
 
-from pipeline.fem.kernels.rotation import LANES, _lanes, _load, _rotate, _store, polar_rotations
+from pipeline.fem.kernels.rotation import (
+    LANES,
+    allocate_lanes,
+    find_rotations,
+    load_lanes,
+    polar_rotations,
+    store_lanes,
+)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _gradients(x, cells, G, first, D, F):
+def compute_gradients(x, cells, G, first, D, F):
     """Write F = sum_a (x_a - x_0) (x) grad N_a of LANES cells from `first` on into F (9, LANES).
 
     G (9, LANES) are their gradients, entry 3 a + j is component j at corner a + 1; the differences D are scratch.
@@ -32,22 +39,24 @@ def _gradients(x, cells, G, first, D, F):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _stresses(F, R, mu, lam, P, W):
-    """Write P = R (2 mu e + lam tr(e) I), e = sym(R^T F) - I, into P (9, LANES) and the energy densities into W."""
+def compute_stresses(F, R, mu, lam, P, W):
+    """Write P = R (2 mu eps + lam tr(eps) I), eps = sym(R^T F) - I, and the energy densities W."""
     for l in range(LANES):
-        e00 = R[0, l] * F[0, l] + R[3, l] * F[3, l] + R[6, l] * F[6, l] - 1.0
-        e11 = R[1, l] * F[1, l] + R[4, l] * F[4, l] + R[7, l] * F[7, l] - 1.0
-        e22 = R[2, l] * F[2, l] + R[5, l] * F[5, l] + R[8, l] * F[8, l] - 1.0
+        eps00 = R[0, l] * F[0, l] + R[3, l] * F[3, l] + R[6, l] * F[6, l] - 1.0
+        eps11 = R[1, l] * F[1, l] + R[4, l] * F[4, l] + R[7, l] * F[7, l] - 1.0
+        eps22 = R[2, l] * F[2, l] + R[5, l] * F[5, l] + R[8, l] * F[8, l] - 1.0
         t01 = R[0, l] * F[1, l] + R[3, l] * F[4, l] + R[6, l] * F[7, l]
         t02 = R[0, l] * F[2, l] + R[3, l] * F[5, l] + R[6, l] * F[8, l]
         t12 = R[1, l] * F[2, l] + R[4, l] * F[5, l] + R[7, l] * F[8, l]
         t10 = R[1, l] * F[0, l] + R[4, l] * F[3, l] + R[7, l] * F[6, l]
         t20 = R[2, l] * F[0, l] + R[5, l] * F[3, l] + R[8, l] * F[6, l]
         t21 = R[2, l] * F[1, l] + R[5, l] * F[4, l] + R[8, l] * F[7, l]
-        pressure = lam * (e00 + e11 + e22)
-        s00, s11, s22 = 2 * mu * e00 + pressure, 2 * mu * e11 + pressure, 2 * mu * e22 + pressure
+        pressure = lam * (eps00 + eps11 + eps22)
+        s00, s11, s22 = 2 * mu * eps00 + pressure, 2 * mu * eps11 + pressure, 2 * mu * eps22 + pressure
         s01, s02, s12 = mu * (t01 + t10), mu * (t02 + t20), mu * (t12 + t21)
-        W[l] = 0.5 * (s00 * e00 + s11 * e11 + s22 * e22 + s01 * (t01 + t10) + s02 * (t02 + t20) + s12 * (t12 + t21))
+        W[l] = 0.5 * (
+            s00 * eps00 + s11 * eps11 + s22 * eps22 + s01 * (t01 + t10) + s02 * (t02 + t20) + s12 * (t12 + t21)
+        )
         for i in range(0, 9, 3):
             r0, r1, r2 = R[i, l], R[i + 1, l], R[i + 2, l]
             P[i, l] = r0 * s00 + r1 * s01 + r2 * s02
@@ -58,13 +67,13 @@ def _stresses(F, R, mu, lam, P, W):
 @njit(cache=True, error_model="numpy", nogil=True)
 def energy(x, cells, G, V, mu, lam, rotation):
     """Return sum V W(F)."""
-    F, R, P, W, root, good, C = _lanes()
+    F, R, P, W, root, good, C = allocate_lanes()
     total = 0.0
     for first in range(0, len(V), LANES):
         count = min(LANES, len(V) - first)
-        _gradients(x, cells, G[first // LANES], first, P, F)
-        _rotate(rotation, F, count, R, root, good, C)
-        _stresses(F, R, mu, lam, P, W)
+        compute_gradients(x, cells, G[first // LANES], first, P, F)
+        find_rotations(rotation, F, count, R, root, good, C)
+        compute_stresses(F, R, mu, lam, P, W)
         for l in range(count):
             total += V[first + l] * W[l]
     return total
@@ -93,12 +102,12 @@ def _scatter_force(cell, G, volume, P, lane, f):
 def force(x, cells, G, V, mu, lam, rotation, f):
     """Write f_a = -sum V P grad N_a into f (n, 3)."""
     f[:] = 0.0
-    F, R, P, W, root, good, C = _lanes()
+    F, R, P, W, root, good, C = allocate_lanes()
     for first in range(0, len(V), LANES):
         count = min(LANES, len(V) - first)
-        _gradients(x, cells, G[first // LANES], first, P, F)
-        _rotate(rotation, F, count, R, root, good, C)
-        _stresses(F, R, mu, lam, P, W)
+        compute_gradients(x, cells, G[first // LANES], first, P, F)
+        find_rotations(rotation, F, count, R, root, good, C)
+        compute_stresses(F, R, mu, lam, P, W)
         for l in range(count):
             _scatter_force(cells[first + l], G[first // LANES], V[first + l], P, l, f)
 
@@ -138,16 +147,16 @@ def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
     The rotations are Rs (e, 3, 3) if given, else those of x.
     """
     f[:] = 0.0
-    F, R, P, W, root, good, C = _lanes()
+    F, R, P, W, root, good, C = allocate_lanes()
     g = np.empty((4, 3))
     for first in range(0, len(V), LANES):
         count = min(LANES, len(V) - first)
-        _gradients(x, cells, G[first // LANES], first, P, F)
+        compute_gradients(x, cells, G[first // LANES], first, P, F)
         if given:
-            _load(Rs, first, count, R)
+            load_lanes(Rs, first, count, R)
         else:
-            _rotate(rotation, F, count, R, root, good, C)
-        _stresses(F, R, mu, lam, P, W)
+            find_rotations(rotation, F, count, R, root, good, C)
+        compute_stresses(F, R, mu, lam, P, W)
         for l in range(count):
             e = first + l
             _scatter_force(cells[e], G[first // LANES], V[e], P, l, f)
@@ -157,13 +166,13 @@ def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
 @njit(cache=True, error_model="numpy", nogil=True)
 def rotations(x, cells, G, rotation, R):
     """Write the rotation of every cell's F into R (e, 3, 3); return the smallest trace."""
-    F, Q, _, _, root, good, C = _lanes()
+    F, Q, _, _, root, good, C = allocate_lanes()
     least = 3.0
     for first in range(0, len(R), LANES):
         count = min(LANES, len(R) - first)
-        _gradients(x, cells, G[first // LANES], first, Q, F)
-        _rotate(rotation, F, count, Q, root, good, C)
-        _store(Q, first, count, R)
+        compute_gradients(x, cells, G[first // LANES], first, Q, F)
+        find_rotations(rotation, F, count, Q, root, good, C)
+        store_lanes(Q, first, count, R)
         for l in range(count):
             least = min(least, Q[0, l] + Q[4, l] + Q[8, l])
     return least
@@ -176,7 +185,7 @@ def nodal_rotations(x, cells, G, V, R):
     F, D = np.zeros((9, LANES)), np.zeros((9, LANES))
     for first in range(0, len(V), LANES):
         count = min(LANES, len(V) - first)
-        _gradients(x, cells, G[first // LANES], first, D, F)
+        compute_gradients(x, cells, G[first // LANES], first, D, F)
         for l in range(count):
             e = first + l
             for a in range(4):

@@ -1,7 +1,7 @@
-r"""Compiled kernels for triangles under the corotational law, by the names that tetrahedra have.
+r"""Compiled kernels for triangles with the corotational or the linear law; see laws.py and element.py for numpy.
 
-In the plane everything is short enough to write out cell by cell. With F = [[a, b], [c, d]] the polar rotation is
-that of the vector (a + d, c - b). Arguments are those of tetrahedron.py, frame_error.py and tangent.py.
+Names and arguments are those of tetrahedron.py, frame_error.py and tangent.py. In the plane the formulas are short
+enough to write out cell by cell: with F = [[a, b], [c, d]] the polar rotation is that of the vector (a + d, c - b).
 """
 
 import numpy as np
@@ -42,7 +42,7 @@ def _rotation(rotation, F):
     if rotation == POLAR:
         return _polar(F)
     a, b, c, d = F
-    length = np.hypot(a, c)  # of the first column, which Gram-Schmidt's has along x
+    length = np.hypot(a, c)  # of the first column, whose direction Gram-Schmidt keeps
     if rotation != GRAM_SCHMIDT or not length > _NULL**2 * max(abs(b), abs(d)):
         return 1.0, 0.0
     return a / length, c / length
@@ -50,13 +50,13 @@ def _rotation(rotation, F):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _stress(F, R, mu, lam):
-    """Return the four entries of P = R (2 mu e + lam tr(e) I), e = sym(R^T F) - I, and the energy density."""
+    """Return the four entries of P = R (2 mu eps + lam tr(eps) I), eps = sym(R^T F) - I, and the energy density W."""
     (a, b, c, d), (cosine, sine) = F, R
-    e00, e11 = cosine * a + sine * c - 1.0, cosine * d - sine * b - 1.0
-    e01 = 0.5 * (cosine * b + sine * d - sine * a + cosine * c)
-    pressure = lam * (e00 + e11)
-    s00, s11, s01 = 2 * mu * e00 + pressure, 2 * mu * e11 + pressure, 2 * mu * e01
-    W = 0.5 * (s00 * e00 + s11 * e11 + 2 * s01 * e01)
+    eps00, eps11 = cosine * a + sine * c - 1.0, cosine * d - sine * b - 1.0
+    eps01 = 0.5 * (cosine * b + sine * d - sine * a + cosine * c)
+    pressure = lam * (eps00 + eps11)
+    s00, s11, s01 = 2 * mu * eps00 + pressure, 2 * mu * eps11 + pressure, 2 * mu * eps01
+    W = 0.5 * (s00 * eps00 + s11 * eps11 + 2 * s01 * eps01)
     return cosine * s00 - sine * s01, cosine * s01 - sine * s11, sine * s00 + cosine * s01, sine * s01 + cosine * s11, W
 
 
@@ -83,7 +83,7 @@ def energy(x, cells, G, V, mu, lam, rotation):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _scatter_force(cell, G, volume, P, f):
-    """Add -V P grad N_a to the forces of the cell's corners; they sum to zero."""
+    """Add -V P grad N_a to the forces at the cell's corners, which sum to zero."""
     p00, p01, p10, p11, _ = P
     for a in range(2):
         x, y = volume * (p00 * G[a, 0] + p01 * G[a, 1]), volume * (p10 * G[a, 0] + p11 * G[a, 1])
@@ -104,9 +104,9 @@ def force(x, cells, G, V, mu, lam, rotation, f):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
-    """Write forces into f (n, 2), add scale times the frozen stiffness to A (blocks, 2, 2).
+    """Write the forces into f (n, 2) and add scale times the frozen stiffness to A (blocks, 2, 2).
 
-    A cell gives V mu ((G_a . G_b) I + g_b g_a^T) + V lam g_a g_b^T, g = R G, to the block (a, b <= a). The rotations
+    A cell adds V mu ((G_a . G_b) I + g_b g_a^T) + V lam g_a g_b^T, g = R G, to the block (a, b <= a). The rotations
     are Rs (e, 2, 2) if given, else those of x.
     """
     f[:] = 0.0
@@ -139,9 +139,9 @@ def _rotate_gradients(G, cosine, sine, g):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
-    """Add scale times what the exact tangent has beyond the frozen one to A; negative factors not if projected.
+    """Add scale times the difference between the exact and the frozen tangent to A; `projected` omits negative factors.
 
-    It is (mu + c / tr S) w_a w_b^T, w_a = R W grad N_a with the quarter turn W, c = lam (tr S - 2) - 2 mu.
+    It is (mu + c / tr S) w_a w_b^T, w_a = R B grad N_a with the quarter turn B, c = lam (tr S - 2) - 2 mu.
     """
     w = np.empty((3, 2))
     for e in range(len(cells)):
@@ -164,12 +164,12 @@ def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projec
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def rotations(x, cells, G, rotation, R):
-    """Write the rotation of every cell's F into R (e, 2, 2); return the least trace of them."""
+    """Write the rotation of every cell's F into R (e, 2, 2); return the smallest trace."""
     least = 2.0
     for e in range(len(cells)):
-        found = _rotation(rotation, _gradient(x, cells, G, e))
-        _store(R, e, found)
-        least = min(least, 2.0 * found[0])
+        cosine_sine = _rotation(rotation, _gradient(x, cells, G, e))
+        _store(R, e, cosine_sine)
+        least = min(least, 2.0 * cosine_sine[0])
     return least
 
 
@@ -187,7 +187,7 @@ def nodal_rotations(x, cells, G, V, R):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _apart(F, R, U, mu, lam):
+def _square_distance(F, R, U, mu, lam):
     """Return |P(F,R) - P(F,U)|^2."""
     P, Q = _stress(F, R, mu, lam), _stress(F, U, mu, lam)
     return (P[0] - Q[0]) ** 2 + (P[1] - Q[1]) ** 2 + (P[2] - Q[2]) ** 2 + (P[3] - Q[3]) ** 2
@@ -197,8 +197,8 @@ def _apart(F, R, U, mu, lam):
 def measure_frame_error(x, cells, G, mu, lam, used, reached):
     """Write the polar rotations R into reached (e, 2, 2); return three numbers over all cells.
 
-    They are the least tr(U^T R), the largest |P(F,R) - P(F,U)|, and the least tr R; traces are NaN where x is. U are
-    the rotations `used` (e, 2, 2), or, where there are none, identities.
+    They are the smallest tr(U^T R), the largest |P(F,R) - P(F,U)| and the smallest tr R; traces are NaN if x has NaN.
+    U are the rotations `used` (e, 2, 2), or identities if `used` is empty.
     """
     least, largest, own, finite = 2.0, 0.0, 2.0, 0.0
     for e in range(len(cells)):
@@ -206,7 +206,7 @@ def measure_frame_error(x, cells, G, mu, lam, used, reached):
         R = _polar(F)
         U = _load(used, e) if len(used) > 0 else (1.0, 0.0)
         least = min(least, 2.0 * (R[0] * U[0] + R[1] * U[1]))
-        apart = _apart(F, R, U, mu, lam)
+        apart = _square_distance(F, R, U, mu, lam)
         largest, own, finite = max(largest, apart), min(own, 2.0 * R[0]), finite + 0.0 * apart
         _store(reached, e, R)
     return least + finite, np.sqrt(largest), own + finite
@@ -214,12 +214,12 @@ def measure_frame_error(x, cells, G, mu, lam, used, reached):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def bound_frame_error(x, cells, G, mu, lam):
-    """Return the largest tan(angle / 2) and |P(F,R) - P(F,I)|: in the plane R is so cheap that they are no bounds."""
+    """Return the largest tan(angle / 2) and |P(F,R) - P(F,I)|, exact: in the plane R is cheap."""
     tangent, largest, finite = 0.0, 0.0, 0.0
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
         R = _polar(F)
         tangent = max(tangent, abs(R[1]) / (1.0 + R[0]) if R[0] > -1.0 else np.inf)
-        apart = _apart(F, R, (1.0, 0.0), mu, lam)
+        apart = _square_distance(F, R, (1.0, 0.0), mu, lam)
         largest, finite = max(largest, apart), finite + 0.0 * apart
     return tangent + finite, np.sqrt(largest)
