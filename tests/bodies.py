@@ -51,7 +51,7 @@ def solid(
     nodes = np.array(list(held), dtype=np.int64)
     force = np.zeros_like(mesh.points) if load is None else load
     return make_body(
-        mesh, LAWS[law].make(material, ROTATIONS[rotation].make), Supports(nodes), force, MASSES[mass].make
+        mesh, LAWS[law].part(material, ROTATIONS[rotation].part), Supports(nodes), force, MASSES[mass].part
     )
 
 

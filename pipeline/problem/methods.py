@@ -1,4 +1,4 @@
-"""The tables: every name that a case may use for a part of its method, the function that makes it, a line about it.
+"""The tables: the names that a case may use for the parts of its method, these parts, and a line about each.
 
 A new law, rotation, stepper, linear solver or shape is one file and one row here; `pipeline methods`, the schema and
 the checks of a case read these tables.
@@ -30,14 +30,14 @@ from pipeline.stepping.parts import StepperParts
 from pipeline.stepping.state import Stepper
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
 
-Make = TypeVar("Make")
+Part = TypeVar("Part")
 
 
 @dataclass(frozen=True)
-class Choice(Generic[Make]):
-    """One row of a table: the function that makes the part, and a line that describes it."""
+class Choice(Generic[Part]):
+    """One row of a table: the part of a method, or the function that makes it, and a line that describes it."""
 
-    make: Make
+    part: Part
     description: str
 
 

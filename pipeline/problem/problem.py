@@ -94,7 +94,7 @@ def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
 
 
 def _make_body(case: Case, mesh: Mesh) -> Body:
-    law, mass = _make_law(case), MASSES[case.method.mass].make
+    law, mass = _make_law(case), MASSES[case.method.mass].part
     load, varying_load = make_dead_load(case, mesh), make_varying_load(case, mesh)
     return make_body(mesh, law, make_supports(case, mesh), load, mass, varying_load)
 
@@ -104,7 +104,7 @@ def _make_law(case: Case) -> Law:
     material = Material(m.youngs_modulus, m.poisson_ratio, m.density)
     if find_traits(method).chooses_model:
         return Corotational(material)
-    return LAWS[method.law].make(material, ROTATIONS[method.rotation].make)
+    return LAWS[method.law].part(material, ROTATIONS[method.rotation].part)
 
 
 def build_mesh(case: Case) -> Mesh:
@@ -118,7 +118,7 @@ def build_mesh(case: Case) -> Mesh:
             assert case.mesh_path is not None
             return read_mesh(case.mesh_path, spec.scale)
         assert spec.size is not None and spec.cells is not None
-        return SHAPES[_check_name(case, "mesh.shape", spec.shape, SHAPES)].make(spec.size, spec.cells, spec.split)
+        return SHAPES[_check_name(case, "mesh.shape", spec.shape, SHAPES)].part(spec.size, spec.cells, spec.split)
     except MeshError as error:
         raise case.make_error("mesh", str(error)) from error
 
@@ -150,7 +150,7 @@ def _check_method(case: Case) -> None:
     for key, table in tables.items():
         _check_name(case, f"method.{key}", getattr(method, key), table)
     traits = find_traits(method)
-    has_treatment = INVERSIONS[method.inversion].make is not None
+    has_treatment = INVERSIONS[method.inversion].part is not None
     if traits.chooses_model:
         if traits.is_explicit or has_treatment:
             goes_with = "implicit steppers and inversion = 'flip'"

@@ -38,7 +38,7 @@ class MethodParts:
 
     def make_treatment(self) -> Treatment | None:
         """Return the treatment of inverted cells, None if the law treats them itself."""
-        make = INVERSIONS[self.method.inversion].make
+        make = INVERSIONS[self.method.inversion].part
         if make is None:
             return None
         polar(np.eye(self.body.mesh.dimension)[None])  # its kernel is compiled, or loaded, here
@@ -48,7 +48,7 @@ class MethodParts:
 def make_stepper(body: Body, dt: float, method: MethodSpec) -> Stepper:
     """Return the stepper of a method, watched by the energy guard unless its energy is bounded by construction."""
     traits = find_traits(method)
-    stepper = STEPPERS[method.stepper].make(body, dt, MethodParts(body, method))
+    stepper = STEPPERS[method.stepper].part(body, dt, MethodParts(body, method))
     converges = body.law.constant_tangent or traits.is_converged
     bounded = converges and not traits.is_explicit and not traits.chooses_model
     return stepper if bounded else EnergyGuard(body, stepper)
@@ -92,7 +92,7 @@ def list_linear_solvers(body: Body, h: float, method: MethodSpec) -> list[dict[s
     if method.linear_solver == "warped":
         kind = choose_rest_factor(band)
         return [{"name": "warped", "reason": f"the case names it; the factor at rest is {kind}"}]
-    if LINEAR_SOLVERS[method.linear_solver].make is not None:
+    if LINEAR_SOLVERS[method.linear_solver].part is not None:
         return [{"name": method.linear_solver, "reason": "the case names it"}]
     kinds = [True, False] if traits.chooses_model else [body.law.constant_tangent]
     choices = [choose_solver(band, constant=kind, stiffness=h * body.frequency_bound) for kind in kinds]
@@ -102,9 +102,9 @@ def list_linear_solvers(body: Body, h: float, method: MethodSpec) -> list[dict[s
 def _make_linear_solver(
     systems: SystemSettings, stiffness: float, method: MethodSpec, *, constant: bool
 ) -> LinearSolver:
-    make = LINEAR_SOLVERS[method.linear_solver].make
+    make = LINEAR_SOLVERS[method.linear_solver].part
     if make is None:
-        make = LINEAR_SOLVERS[choose_solver(systems.band, constant=constant, stiffness=stiffness)[0]].make
+        make = LINEAR_SOLVERS[choose_solver(systems.band, constant=constant, stiffness=stiffness)[0]].part
         assert make is not None  # choose_solver names a row that has one
     return make(systems)
 

@@ -1,4 +1,4 @@
-"""Golden scalars of every variant of every case, over its first frames: what guards numbers against unmeant change.
+"""Golden scalars of every variant of every case, over its first frames: they guard numbers against accidental change.
 
 They are this program's own, no truth: what is right is held by closed forms, laws and published numbers elsewhere.
     python -m tests.cases.test_golden --write [CASE ...]
@@ -69,7 +69,7 @@ def test_every_golden_scalar_belongs_to_a_variant():
 
 
 def write(cases: list[str]) -> None:
-    """Write the scalars of these cases anew; the others that still exist are kept as they are."""
+    """Write the scalars of these cases anew; the others that still exist stay as they are."""
     table = {case: values for case, values in golden().items() if case in CASES and case not in cases}
     for case, variant in VARIANTS:
         if case in cases:

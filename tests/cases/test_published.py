@@ -46,7 +46,7 @@ def test_smallest_volume_of_a_tet(ratios, case, variant):
 
 @pytest.mark.parametrize("case", ["bar", "bar_small"])
 def test_the_corotational_maximum_with_the_factor_does_not_test_the_rotation(ratios, case):
-    """It falls in step 1, whose solve uses R = I whichever rotation was asked for."""
+    """It falls in step 1, whose solve uses R = I whatever the rotation."""
     polar, other = ratios(case, "polar"), ratios(case, "gram_schmidt")
     assert polar.max(axis=1).argmax() == 1 and other.max(axis=1).argmax() == 1
     assert polar[1] == pytest.approx(other[1], rel=1e-12)

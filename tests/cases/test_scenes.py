@@ -1,4 +1,4 @@
-"""Every scene in cases/: runs, and keeps what it promises: a closed form or a law of conservation."""
+"""Every scene in cases/ runs and meets its closed form or law of conservation."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -33,7 +33,7 @@ def last(source: Iterator[Frame]) -> Frame:
 
 
 @pytest.mark.parametrize(("path", "variant"), VARIANTS, ids=lambda value: getattr(value, "stem", value))
-def test_every_variant_of_every_case_runs_a_little(path: Path, variant: str) -> None:
+def test_every_variant_of_every_case_runs_some_steps(path: Path, variant: str) -> None:
     case = load_case(path, overrides={"schedule.frames": 2}).variant(variant)
     frame = last(frames(build(case)))
     assert frame.index == 2
@@ -49,7 +49,7 @@ def test_block_under_normal_traction_ends_at_its_closed_form(motion: Motion, var
 
 
 @pytest.mark.parametrize("variant", ["backward_euler", "bdf2", "converged", "symplectic"])
-def test_free_spin_keeps_its_momenta_as_its_method_can(motion: Motion, variant: str) -> None:
+def test_free_spin_keeps_its_momenta_within_the_bounds_of_its_method(motion: Motion, variant: str) -> None:
     run = list(motion("spin", variant, schedule__frames=30))
     turning = np.array([frame.known["angular_momentum"] for frame in run])
     size = np.linalg.norm(turning[0])
@@ -87,7 +87,7 @@ def test_twisted_bar_follows_its_end_and_turns_half_as_far_in_the_middle(
 
 
 def elastica_tip(alpha: float, *, at_tip: bool = False) -> tuple[float, float]:
-    """Return how far down and how far in the tip is, over the length, under a dead load.
+    """Return how far down and inwards the tip moves, over the length, under a dead load.
 
     Uniform, q L^3 / EI = alpha:  theta'' = -alpha (1 - s) cos theta; at the tip, P L^2 / EI = alpha:  without (1 - s).
     theta(0) = 0, theta'(1) = 0, theta downward.
@@ -108,9 +108,7 @@ def elastica_tip(alpha: float, *, at_tip: bool = False) -> tuple[float, float]:
     ("alpha", "down", "inward"),
     [(0.4, 0.13098, None), (0.8, 0.24945, None), (1, 0.30172, 0.05643), (2, 0.49346, 0.16064), (3, 0.60325, None)],
 )
-def test_the_elastica_that_scenes_are_compared_with_is_that_of_the_tables(
-    alpha: float, down: float, inward: float | None
-) -> None:
+def test_our_elastica_is_that_of_the_tables(alpha: float, down: float, inward: float | None) -> None:
     found = elastica_tip(alpha, at_tip=True)
     assert found[0] == pytest.approx(down, abs=5e-6)  # as many digits as the table has
     assert inward is None or found[1] == pytest.approx(inward, abs=5e-6)

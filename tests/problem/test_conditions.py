@@ -1,4 +1,4 @@
-"""What a case says of where: supports that move, spins, tractions against closed forms, selections and their errors."""
+"""Boundary and initial conditions: moving supports, spins, tractions against closed forms, selections and errors."""
 
 from pathlib import Path
 
@@ -25,28 +25,28 @@ MOTIONS = {
     "rotation": {"spin": {"axis": [0.0, 2.0, 0.0], "rate": 300.0, "center": [0.5, 0.0, 0.5]}},
     "both": {"velocity": [0.0, -1.0, 0.0], "spin": {"axis": [1.0, 1.0, 0.0], "rate": -40.0, "center": [0.0, 1.0, 2.0]}},
 }
-MOTION = pytest.mark.parametrize("said", MOTIONS.values(), ids=MOTIONS)
+MOTION = pytest.mark.parametrize("driven", MOTIONS.values(), ids=MOTIONS)
 
 
-def moved(said: dict, X: np.ndarray, t: float) -> np.ndarray:
-    """Where a motion of a case takes the points X (k, 3), by scipy."""
+def move_points(driven: dict, X: np.ndarray, t: float) -> np.ndarray:
+    """The positions to which a motion of a case takes the points X (k, 3), by scipy."""
     out = X
-    if "spin" in said:
-        axis, center = np.array(said["spin"]["axis"]), np.array(said["spin"]["center"])
-        turned = Rotation.from_rotvec(np.radians(said["spin"]["rate"]) * t * axis / np.linalg.norm(axis))
+    if "spin" in driven:
+        axis, center = np.array(driven["spin"]["axis"]), np.array(driven["spin"]["center"])
+        turned = Rotation.from_rotvec(np.radians(driven["spin"]["rate"]) * t * axis / np.linalg.norm(axis))
         out = center + turned.apply(X - center)
-    return out + t * np.array(said.get("velocity", [0.0, 0.0, 0.0]))
+    return out + t * np.array(driven.get("velocity", [0.0, 0.0, 0.0]))
 
 
-def planar(said: dict) -> dict:
-    """The motion in the plane: its components there, its spin about z."""
-    spin = said.get("spin")
-    return ({"velocity": said["velocity"][:2]} if "velocity" in said else {}) | (
+def make_planar(driven: dict) -> dict:
+    """The motion in the plane: its x and y components, its spin about z."""
+    spin = driven.get("spin")
+    return ({"velocity": driven["velocity"][:2]} if "velocity" in driven else {}) | (
         {"spin": {"axis": [0.0, 0.0, -2.0], "rate": spin["rate"], "center": spin["center"][:2]}} if spin else {}
     )
 
 
-def refused(folder: Path, **sections: object) -> str:
+def get_refusal(folder: Path, **sections: object) -> str:
     """The message of the CaseError, after the file's name."""
     with pytest.raises(CaseError) as caught:
         built(folder, **sections)
@@ -61,16 +61,16 @@ def refused(folder: Path, **sections: object) -> str:
 @STEPPER
 @MOTION
 @pytest.mark.parametrize("d", [2, 3])
-def test_a_moving_support_is_exactly_where_its_motion_says_at_every_frame(tmp_path, d, said, method):
+def test_a_moving_support_follows_its_motion_exactly_at_every_frame(tmp_path, d, driven, method):
     schedule = {"dt": 1e-3, "steps_per_frame": 7, "frames": 6}
-    place = {"plane": "y", "at": 0.0, "motion": said if d == 3 else planar(said)}
+    place = {"plane": "y", "at": 0.0, "motion": driven if d == 3 else make_planar(driven)}
     sections = UNLOADED | {"supports": [HELD, place], "method": method, "schedule": schedule}
     one = built(tmp_path, **(PLANAR | sections if d == 2 else sections))
     X = one.body.mesh.points
     end, still = X[:, 1] == 0.0, X[:, 1] == 3.0
     for frame in frames(one):
-        in_space = {**said, "spin": {**said["spin"], "axis": [0, 0, -1.0]}} if d == 2 and "spin" in said else said
-        exact = moved(in_space, np.pad(X[end], [(0, 0), (0, 3 - d)]), frame.index * 7e-3)[:, :d]
+        about_z = {"spin": {**driven["spin"], "axis": [0, 0, -1.0]}} if d == 2 and "spin" in driven else {}
+        exact = move_points(driven | about_z, np.pad(X[end], [(0, 0), (0, 3 - d)]), frame.index * 7e-3)[:, :d]
         assert np.abs(frame.x[end] - exact).max() < 1e-12
         assert np.array_equal(frame.x[still], X[still])
         assert np.isfinite(frame.x).all()
@@ -79,14 +79,16 @@ def test_a_moving_support_is_exactly_where_its_motion_says_at_every_frame(tmp_pa
 
 
 @MOTION
-def test_a_moving_support_starts_at_its_own_velocity_whatever_the_initial_one(tmp_path, said):
-    place = {"plane": "y", "at": 0.0, "motion": said}
+def test_a_moving_support_starts_at_its_own_velocity_whatever_the_initial_one(tmp_path, driven):
+    place = {"plane": "y", "at": 0.0, "motion": driven}
     initial = {"velocity": [5.0, 0.0, 0.0], "factor": 3.0}
     one = built(tmp_path, **UNLOADED | {"supports": [HELD, place], "initial": initial})
     X, v = one.body.mesh.points, one.start.v
     end, still = X[:, 1] == 0.0, X[:, 1] == 3.0
     h = 1e-5  # central differences err by h^2 omega^3, 1e-8 here
-    assert v[end] == pytest.approx((moved(said, X[end], h) - moved(said, X[end], -h)) / (2 * h), abs=1e-7)
+    assert v[end] == pytest.approx(
+        (move_points(driven, X[end], h) - move_points(driven, X[end], -h)) / (2 * h), abs=1e-7
+    )
     assert not v[still].any()
     assert np.array_equal(v[~end & ~still], np.tile([15.0, 0, 0], ((~end & ~still).sum(), 1)))
 
@@ -102,13 +104,13 @@ def test_a_body_whose_supports_all_move_alike_moves_as_one(tmp_path, method):
         assert np.abs(frame.x - wanted).max() < 1e-11  # rounding of forces between points that are off by 1e-16
 
 
-def test_a_slowly_turned_beam_ends_turned(tmp_path):
-    """Both ends turned about the beam's axis: at the end of a slow turn all of it has turned."""
+def test_a_beam_whose_ends_turn_slowly_turns_as_a_whole(tmp_path):
+    """Both ends turn slowly about the beam's axis: at the end the whole beam has turned."""
     spin = {"spin": {"axis": [0.0, 1.0, 0.0], "rate": 90.0, "center": [0.5, 0.0, 0.5]}}
     supports = [{"plane": "y", "at": y, "motion": spin} for y in (0.0, 3.0)]
     one = built(tmp_path, **UNLOADED | {"supports": supports, "schedule": {"dt": 0.01, "frames": 100}})
     *_, last = frames(one)
-    turned = moved(spin, one.body.mesh.points, 1.0)
+    turned = move_points(spin, one.body.mesh.points, 1.0)
     # 1.6 rad/s swell it by rho omega^2 r^2/E = 1e-4, and one solve turns by .016 rad a step: J = 1 + 2.5e-4
     assert np.abs(last.x - turned).max() < 1e-3
 
@@ -116,16 +118,16 @@ def test_a_slowly_turned_beam_ends_turned(tmp_path):
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_a_node_cannot_follow_two_supports_of_which_one_moves(tmp_path, order):
     two = [HELD, {"plane": "x", "at": 0.0, "motion": {"velocity": [1.0, 0.0, 0.0]}}]
-    said = refused(tmp_path, **UNLOADED | {"supports": [two[i] for i in order]})
-    assert said.startswith("supports.1: node ") and said.endswith(" is held by supports.0 already")
+    message = get_refusal(tmp_path, **UNLOADED | {"supports": [two[i] for i in order]})
+    assert message.startswith("supports.1: node ") and message.endswith(" is held by supports.0 already")
     both = [s | {"motion": {"velocity": [1.0, 0.0, 0.0]}} for s in two]
-    assert refused(tmp_path, **UNLOADED | {"supports": both}).startswith("supports.1: node ")
+    assert get_refusal(tmp_path, **UNLOADED | {"supports": both}).startswith("supports.1: node ")
     resting = [HELD, {"plane": "x", "at": 0.0}]
     assert len(built(tmp_path, **UNLOADED | {"supports": resting}).body.supports.nodes) == 2 + 8  # 2 of them in both
 
 
 @pytest.mark.parametrize(
-    ("said", "wanted"),
+    ("driven", "message"),
     [
         ({"velocity": [1.0, 2.0]}, "supports.0.motion.velocity: [1.0, 2.0] has 2 components, the mesh has 3 dim"),
         (
@@ -137,14 +139,14 @@ def test_a_node_cannot_follow_two_supports_of_which_one_moves(tmp_path, order):
     ],
     ids=["velocity", "center", "nothing", "axis"],
 )
-def test_a_motion_that_cannot_be_is_refused(tmp_path, said, wanted):
-    assert refused(tmp_path, supports=[HELD | {"motion": said}]).startswith(wanted)
+def test_an_impossible_motion_is_refused(tmp_path, driven, message):
+    assert get_refusal(tmp_path, supports=[HELD | {"motion": driven}]).startswith(message)
 
 
 def test_a_planar_support_turns_about_z_only(tmp_path):
     place = HELD | {"motion": {"spin": {"axis": [0.0, 1.0, 0.0], "rate": 1.0}}}
-    said = refused(tmp_path, **PLANAR | {"supports": [place]})
-    assert said.startswith("supports.0.motion.spin.axis: [0.0, 1.0, 0.0] is not along z; the mesh is planar")
+    message = get_refusal(tmp_path, **PLANAR | {"supports": [place]})
+    assert message.startswith("supports.0.motion.spin.axis: [0.0, 1.0, 0.0] is not along z; the mesh is planar")
 
 
 # Initial spin
@@ -162,7 +164,7 @@ def test_the_factor_scales_velocity_and_spin_and_nothing_else(tmp_path, method):
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_a_spin_about_the_centre_of_mass_carries_no_momentum_but_its_own(tmp_path, d):
+def test_a_spin_about_the_center_of_mass_has_no_linear_momentum(tmp_path, d):
     axis = [0.0, 0.0, 1.0] if d == 2 else [1.0, -2.0, 0.5]
     initial = {"velocity": [1.0, 2.0, 3.0][:d], "spin": {"axis": axis, "rate": 100.0}}
     sections = UNLOADED | {"initial": initial}
@@ -177,8 +179,8 @@ def test_a_spin_about_the_centre_of_mass_carries_no_momentum_but_its_own(tmp_pat
 # Tractions, E = 1e7, nu = .3
 
 
-def static(folder: Path, variant: str, traction: list, mesh: dict) -> tuple:
-    """A free body under loads in balance, its rest X and its end x about the centre.
+def run_to_balance(folder: Path, variant: str, traction: list, mesh: dict) -> tuple:
+    """A free body under loads in balance, its rest X and its end x about the center.
 
     dt = .1 s is ten radians of its slowest mode, of which backward Euler leaves a tenth a step.
     """
@@ -200,10 +202,10 @@ SHEET = {"shape": "rectangle", "size": [2.0, 3.0], "cells": [2, 3]}
 @pytest.mark.parametrize(("variant", "t"), PULLS)
 def test_a_block_pulled_at_two_faces_stretches_by_hookes_law(tmp_path, t, variant, split):
     ends = [{"plane": "y", "at": y, "normal_traction": t} for y in (0.0, 3.0)]
-    _, X, x = static(tmp_path, variant, ends, CUBE | {"split": split})
+    _, X, x = run_to_balance(tmp_path, variant, ends, CUBE | {"split": split})
     e = t / 1e7
     assert np.abs(x - X * [1 - 0.3 * e, 1 + e, 1 - 0.3 * e]).max() < CLOSE * abs(e)
-    _, X, x = static(tmp_path, variant, ends, SHEET | {"split": split})
+    _, X, x = run_to_balance(tmp_path, variant, ends, SHEET | {"split": split})
     plane = np.array([-0.3 * 1.3 * e, (1 - 0.3**2) * e])  # plane strain
     assert np.abs(x - X * (1 + plane)).max() < CLOSE * abs(e)
 
@@ -211,13 +213,13 @@ def test_a_block_pulled_at_two_faces_stretches_by_hookes_law(tmp_path, t, varian
 @pytest.mark.parametrize(("variant", "t"), PULLS)
 def test_a_traction_all_round_has_no_resultant_and_swells_the_block_evenly(tmp_path, variant, t):
     whole = [{"box": [[0.0, 0.0, 0.0], [2.0, 3.0, 1.0]], "normal_traction": t}]
-    one, X, x = static(tmp_path, variant, whole, CUBE)
+    one, X, x = run_to_balance(tmp_path, variant, whole, CUBE)
     load = one.body.load
     assert np.abs(load.sum(axis=0)).max() < 1e-14 * np.abs(load).sum()
     assert np.abs(np.cross(one.start.x, load).sum(axis=0)).max() < 1e-14 * 3 * np.abs(load).sum()
     assert np.abs(x - X * (1 + t * (1 - 2 * 0.3) / 1e7)).max() < CLOSE * abs(t) / 1e7
     sheet = [{"box": [[0.0, 0.0], [2.0, 3.0]], "normal_traction": t}]
-    one, X, x = static(tmp_path, variant, sheet, SHEET)
+    one, X, x = run_to_balance(tmp_path, variant, sheet, SHEET)
     assert np.abs(one.body.load.sum(axis=0)).max() < 1e-14 * np.abs(one.body.load).sum()
     assert np.abs(x - X * (1 + t * (1 - 2 * 0.3) * 1.3 / 1e7)).max() < CLOSE * abs(t) / 1e7
 
@@ -236,7 +238,7 @@ def test_a_traction_pulls_outward_with_its_area_on_its_own_nodes_only(tmp_path, 
 def test_a_traction_is_on_the_faces_of_the_boundary_whose_corners_are_all_selected(tmp_path):
     mesh = {"shape": "box", "size": [2.0, 3.0, 1.0], "cells": [2, 3, 2]}
     inside = {"plane": "y", "at": 1.0, "normal_traction": 1.0}  # a section: its faces are all inside
-    assert refused(tmp_path, loads={"traction": [inside]}, mesh=mesh) == (
+    assert get_refusal(tmp_path, loads={"traction": [inside]}, mesh=mesh) == (
         "loads.traction.0: its nodes are not the corners of any boundary face"
     )
     half = {"above": {"axis": "y", "at": 1.5}, "normal_traction": 5.0}
@@ -251,7 +253,7 @@ def test_a_traction_is_on_the_faces_of_the_boundary_whose_corners_are_all_select
 
 
 def test_a_traction_is_a_dead_load_on_the_rest_surface(tmp_path):
-    """It does not turn with the body: a free block that has turned is pulled where it was pulled at rest."""
+    """It does not turn with the body: on a free block that has turned it acts as at rest."""
     ends = [{"plane": "y", "at": y, "normal_traction": 1e3} for y in (0.0, 3.0)]
     spin = {"spin": {"axis": [0.0, 0.0, 1.0], "rate": 90.0}}
     one = built(tmp_path, **UNLOADED | {"loads": {"traction": ends}, "initial": spin})
@@ -306,9 +308,9 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("sections", "selector", "wanted"), WRONG.values(), ids=WRONG)
-def test_a_selection_that_means_nothing_is_refused_for_supports_and_tractions_alike(
+def test_an_empty_or_impossible_selection_is_refused_for_supports_and_tractions_alike(
     tmp_path, sections, selector, wanted
 ):
-    assert refused(tmp_path, **sections | {"supports": [selector]}).startswith(f"supports.0{wanted}")
+    assert get_refusal(tmp_path, **sections | {"supports": [selector]}).startswith(f"supports.0{wanted}")
     loads = {"traction": [{**selector, "normal_traction": 1.0}]}
-    assert refused(tmp_path, **sections | {"loads": loads}).startswith(f"loads.traction.0{wanted}")
+    assert get_refusal(tmp_path, **sections | {"loads": loads}).startswith(f"loads.traction.0{wanted}")

@@ -57,7 +57,7 @@ def test_every_key_has_a_sentence_and_every_number_a_unit_or_none():
 
 
 def test_a_row_added_to_a_table_is_a_choice(monkeypatch, capsys):
-    monkeypatch.setitem(methods.LAWS, "mine", methods.LawChoice(methods.LAWS["linear"].make, "a law of mine"))
+    monkeypatch.setitem(methods.LAWS, "mine", methods.LawChoice(methods.LAWS["linear"].part, "a law of mine"))
     assert main(["methods"]) == 0
     assert "mine               a law of mine" in capsys.readouterr().out
     made = case_schema()

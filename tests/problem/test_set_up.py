@@ -1,4 +1,4 @@
-"""Kernels are compiled, or loaded, in the set-up: the progress bar says so there, and no timed step has it."""
+"""Kernels are compiled, or loaded, in the set-up, where the progress bar says so, and in no timed step."""
 
 import subprocess
 import sys

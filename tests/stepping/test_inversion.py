@@ -127,11 +127,11 @@ def test_the_reflecting_rotation_keeps_an_inverted_cell_inverted_and_ours_lets_i
     assert ends[polar] == pytest.approx((1.0, 0.0), abs=1e-6)
 
 
-@pytest.mark.parametrize("treatment", [name for name, row in INVERSIONS.items() if row.make])
+@pytest.mark.parametrize("treatment", [name for name, row in INVERSIONS.items() if row.part])
 @pytest.mark.parametrize("d", [2, 3])
 def test_treatments_are_the_polar_rotation_unless_inverted_and_always_a_rotation(d, treatment):
     rng = np.random.default_rng(4)
-    made = INVERSIONS[treatment].make()
+    made = INVERSIONS[treatment].part()
     memory = {}
     for _ in range(20):
         F = rng.standard_normal((50, d, d))
@@ -152,7 +152,7 @@ def test_crossing_takes_the_direction_that_collapsed_and_last_the_rotation_from_
     Q = turn(d, [1, 2, 3], 0.7)
     deep = Q @ np.diag([1.0, 0.5, -1.5] if d == 3 else [0.5, -1.5])  # flip would take the shortest: not the last axis
     for treatment in ("last", "crossing"):
-        made = INVERSIONS[treatment].make()
+        made = INVERSIONS[treatment].part()
         _, memory = made.rotations(Q[None], {})
         R, memory = made.rotations(deep[None], memory)
         assert np.abs(R[0] - Q).max() < 1e-14
@@ -165,7 +165,7 @@ def test_crossing_takes_the_direction_that_collapsed_and_last_the_rotation_from_
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_crossing_forgets_the_direction_of_a_cell_that_has_recovered(d):
-    made, memory = INVERSIONS["crossing"].make(), {}
+    made, memory = INVERSIONS["crossing"].part(), {}
     last, first = np.array([[1.0, 1.0, -1.5], [-1.5, 1.0, 1.0]])[:, [0, 2] if d == 2 else [0, 1, 2]]
     for stretches in (last, np.ones(d), first):
         R, memory = made.rotations(np.diag(stretches)[None], memory)

@@ -153,7 +153,7 @@ def _find_worst_spins() -> dict[str, tuple[float, str]]:
 def measure_spin_energy_growth(axis: np.ndarray, method: MethodSpec, steps: int = 100) -> float:
     """Return the kinetic energy after the steps over that at the start; infinity where a step fails."""
     mesh = box((2.0, 24.0, 4.0), (2, 8, 2))
-    law = LAWS[method.law].make(Material(1e8, 0.33, 1000.0), ROTATIONS[method.rotation].make)
+    law = LAWS[method.law].part(Material(1e8, 0.33, 1000.0), ROTATIONS[method.rotation].part)
     body = Body(mesh, law, Supports(np.zeros(0, np.int64)), np.zeros_like(mesh.points), CONSISTENT_MASS)
     dt = 0.5
     # without the energy guard, which would stop it

@@ -1,4 +1,4 @@
-"""From a case to a problem: selections, loads, starts and supports mean what the case says, or are refused."""
+"""From a case to a problem: selections, loads, initial states and supports are those of the case, or refused."""
 
 import pickle
 from itertools import islice
@@ -60,13 +60,13 @@ def test_selectors_add_up_and_the_free_nodes_are_the_rest(problem):
 
 
 @pytest.mark.parametrize("where", ["size", "large", "offset"])
-def test_a_plane_is_found_at_any_scale(problem, where):
+def test_a_plane_selects_its_nodes_at_any_scale(problem, where):
     size = {"size": [0.1, 0.3, 0.1], "large": [1e6, 3e6, 1e6], "offset": [1.0, 3.0, 1.0]}[where]
     mesh = {"shape": "box", "size": size, "cells": [3, 3, 3]}
     assert len(problem(mesh=mesh, supports=[{"plane": "x", "at": size[0] / 3}]).body.supports.nodes) == 16
 
 
-def test_the_start_is_the_rest_shape_thrown_without_its_held_nodes(problem):
+def test_the_initial_state_is_the_rest_shape_with_velocities_on_free_nodes(problem):
     one = problem(initial={"velocity": [0.0, 1.0, -20.0], "factor": 3.0})
     assert np.array_equal(one.start.x, one.body.mesh.points) and one.start.step == 0
     assert np.array_equal(one.start.v[one.body.free], np.tile([0.0, 3.0, -60.0], (len(one.body.free), 1)))
@@ -74,7 +74,7 @@ def test_the_start_is_the_rest_shape_thrown_without_its_held_nodes(problem):
 
 
 @pytest.mark.parametrize("center", [None, [1.0, -2.0, 0.5]])
-def test_a_spin_turns_the_body_about_its_centre_in_degrees(problem, center):
+def test_a_spin_turns_the_body_about_its_center_in_degrees(problem, center):
     spin = {"axis": [0.0, 3.0, 4.0], "rate": 90.0} | ({"center": center} if center else {})
     one = problem(supports=None, loads=None, initial={"spin": spin, "factor": 2.0})
     arm = one.body.mesh.points - ([0.5, 1.5, 0.5] if center is None else center)
@@ -108,7 +108,7 @@ def test_loads_have_their_resultants(problem, loads, resultant):
     assert problem(loads=loads).body.load.sum(axis=0) == pytest.approx(resultant, abs=1e-9)
 
 
-def test_a_moving_support_is_where_its_motion_says(problem):
+def test_a_moving_support_follows_its_motion(problem):
     motion = {"velocity": [0.0, 0.5, 0.0], "spin": {"axis": [0.0, 1.0, 0.0], "rate": 90.0, "center": [0.5, 3, 0.5]}}
     one = problem(supports=[{"plane": "y", "at": 3.0, "motion": motion}], **AT_REST)
     held = one.body.supports.nodes
@@ -144,7 +144,7 @@ def test_a_case_that_cannot_be_built_names_its_key_and_the_choices(refused, sect
     assert refused(**sections).startswith(wanted)
 
 
-def test_a_fault_of_a_variant_names_the_override(tmp_path):
+def test_an_error_of_a_variant_names_the_override(tmp_path):
     case = load_case(write_case(tmp_path, variants={"odd": {"method.law": "plastic"}}))
     with pytest.raises(CaseError, match=r'variants\.odd\."method\.law": \'plastic\' is not one of'):
         build(case.variant("odd"))
@@ -172,21 +172,21 @@ def test_a_mesh_of_two_pieces_is_noted(tmp_path, problem):
     assert "the mesh has 2 components" in problem(mesh={"file": "m.vtu"}, supports=[{"nodes": [0]}]).notes
 
 
-def test_a_rotation_asked_for_under_the_linear_law_is_noted(problem):
+def test_a_rotation_under_the_linear_law_is_noted(problem):
     variants = {"odd": {"method.law": "linear", "method.rotation": "gram_schmidt"}}
     notes = problem("odd", variants=variants).notes
     assert "method.rotation is not used by the linear law" in notes
 
 
-def test_schedule_and_names_come_through(problem):
+def test_schedule_and_name_are_those_of_the_case(problem):
     one = problem(schedule={"dt": 0.01, "frame_interval": 0.03, "frames": 7})
     assert (one.name, one.dt, one.steps_per_frame, one.last_frame) == ("beam/polar", 0.01, 3, 7)
     assert [(f.index, f.step) for f in frames(one)] == [(i, 3 * i) for i in range(8)]
 
 
 @pytest.mark.parametrize("iterations", [1, "converged"])
-def test_a_problem_travels_to_another_process_before_and_after_it_was_solved(problem, iterations):
-    """As a task of dask does."""
+def test_a_problem_can_be_pickled_before_and_after_it_was_solved(problem, iterations):
+    """As tasks of dask need it."""
     fresh = problem(method={"iterations": iterations})
     sent = pickle.dumps(fresh)
     whole = list(islice(frames(fresh), 3))
