@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pipeline.results.case_run import run_case
     from pipeline.results.report import write_report
     from pipeline.run.frame import Frame, Sink
-    from pipeline.run.frames import frames
+    from pipeline.run.frame_iterator import frames
     from pipeline.run.recording import record
     from pipeline.series import Series, read_series
     from pipeline.sinks.netcdf import NetcdfSink
@@ -55,7 +55,7 @@ _PLACES = {
     "analyze": "pipeline.results.analysis_folder:analyze",
     "build": "pipeline.problem.problem:build",
     "compare": "pipeline.results.analysis_folder:compare",
-    "frames": "pipeline.run.frames:frames",
+    "frames": "pipeline.run.frame_iterator:frames",
     "load_case": "pipeline.case:load_case",
     "make_case": "pipeline.problem.python_case:make_case",
     "read_series": "pipeline.series:read_series",

@@ -144,7 +144,7 @@ def test_importing_the_package_costs_nothing_heavy():
         ("pipeline.fem.body", "from .laws import Linear\nfrom .. import run", 1),
         ("pipeline.mesh", "import pipeline.views.movie.movie", 1),
         ("pipeline.case", "def f():\n    from pipeline import build, errors", 1),
-        ("pipeline.run.frames", "from pipeline import load_case", 1),
+        ("pipeline.run.frame_iterator", "from pipeline import load_case", 1),
         ("pipeline.cli", "from pipeline import load_case\nfrom pipeline.studies import scaling", 0),
     ],
 )

@@ -23,7 +23,7 @@ from pipeline.results.failure import examine_failure
 from pipeline.results.interrupt import Interrupted, InterruptRequest
 from pipeline.results.resume import CHECKPOINTS, digest_mesh, frame_times, next_frame_index, prepare_resume
 from pipeline.run.frame import Frame, Sink
-from pipeline.run.frames import frames
+from pipeline.run.frame_iterator import frames
 from pipeline.run.recording import Recording, RunSummary, Watcher, drive
 from pipeline.sinks.frame_formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink

@@ -183,7 +183,7 @@ def test_no_numerics_are_imported():
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             allowed = {
-                "ast", "collections", "difflib", "math", "os", "pathlib", "pydantic", "pydantic_core", "re",
+                "ast", "collections", "difflib", "html", "math", "os", "pathlib", "pydantic", "pydantic_core", "re",
                 "tomli_w", "tomllib", "typing",
             }  # fmt: skip
             for name in names:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import CaseError
 from pipeline.mesh.surface import boundary_faces, outward_areas
-from pipeline.run.frames import frames
+from pipeline.run.frame_iterator import frames
 from tests.bodies import PLANAR, built, motion
 
 STEPPERS = {

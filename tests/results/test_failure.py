@@ -13,7 +13,7 @@ from pipeline.cli import main
 from pipeline.formats import atomic
 from pipeline.results.case_run import run_case
 from pipeline.results.failure import examine_failure
-from pipeline.run.frames import frames
+from pipeline.run.frame_iterator import frames
 from pipeline.run.measures import measure
 from pipeline.series import read_series
 from pipeline.stepping.backward_euler import BackwardEuler

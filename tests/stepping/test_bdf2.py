@@ -9,7 +9,7 @@ from pipeline.fem.modes import lowest_frequencies
 from pipeline.fem.supports import RigidMotion
 from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box, rectangle
-from pipeline.run.frames import frames
+from pipeline.run.frame_iterator import frames
 from pipeline.stepping.bdf2 import mode_factor
 from pipeline.stepping.state import Memory, State
 from tests.bodies import METHODS, built, clamped_bar, motion, solid, stepper

@@ -14,7 +14,7 @@ from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.problem import Problem
-from pipeline.run.frames import frames
+from pipeline.run.frame_iterator import frames
 from pipeline.stepping.energy_guard import EnergyGuard
 from pipeline.stepping.report import StepReport
 from pipeline.stepping.state import Memory, State

@@ -14,7 +14,7 @@ from pipeline.fem.material import Material
 from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.problem.stage_solvers import make_stage_solver
-from pipeline.run.frames import frames
+from pipeline.run.frame_iterator import frames
 from pipeline.stepping.newton import Converged
 from pipeline.stepping.report import StepReport
 from pipeline.stepping.stage import Stage

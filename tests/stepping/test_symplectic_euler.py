@@ -15,7 +15,7 @@ from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.methods import STEP_LIMITS
-from pipeline.run.frames import frames
+from pipeline.run.frame_iterator import frames
 from pipeline.stepping.state import State
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
 from tests.bodies import METHODS, PLANAR, built, clamped_bar, motion, solid, spin, stepper, thesis_bar

@@ -197,7 +197,7 @@ def test_motions_survive_their_text():
 
 
 def test_a_run_in_memory_is_the_run(tmp_path):
-    from pipeline.run.frames import frames
+    from pipeline.run.frame_iterator import frames
 
     plan = plan_of(tmp_path)
     case = make_point_case(plan, plan.case_setting)

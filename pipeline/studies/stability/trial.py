@@ -15,7 +15,7 @@ from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.problem.methods import STEP_LIMITS
 from pipeline.problem.problem import Problem, build
 from pipeline.run.frame import Frame
-from pipeline.run.frames import frames
+from pipeline.run.frame_iterator import frames
 from pipeline.stepping.energy_guard import natural_energy, work_of_supports
 from pipeline.stepping.state import State
 from pipeline.studies.stability.perturbations import move_apexes, scramble_nodes

@@ -19,7 +19,7 @@ from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.problem.problem import Problem, build
 from pipeline.results.variant_run import result_settings
 from pipeline.run.frame import Frame
-from pipeline.run.frames import frames
+from pipeline.run.frame_iterator import frames
 
 COUNTS = ("steps", "solves", "iterations", "factorizations", "rotations")
 _ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")
