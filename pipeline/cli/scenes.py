@@ -88,7 +88,7 @@ def _run(options: argparse.Namespace) -> int:
         summary = {
             "folder": str(result.folder),
             "variants": {v.name: v.run | {"status": v.status} for v in result.variants},
-            "made": [str(path) for path in result.made],
+            "files": [str(path) for path in result.files],
             "notes": list(result.notes),
         }
         print(json.dumps(summary, indent=2))
@@ -120,7 +120,7 @@ def _print_summary(result: Any) -> None:
             print(f"{v.name:<14} {v.status}")
     for note in result.notes:
         print(f"note: {note}")
-    print(f"results in {result.folder}" + "".join(f"\n  {path.name}" for path in result.made))
+    print(f"results in {result.folder}" + "".join(f"\n  {path.name}" for path in result.files))
     for v in result.variants:
         print(f"  {v.name}/series.pvd")
 

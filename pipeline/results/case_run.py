@@ -30,11 +30,11 @@ from pipeline.system.version import VERSION
 
 @dataclass(frozen=True, repr=False)
 class CaseResult:
-    """The results of a run: its variants, the datasets and pictures of all of them, and notes for the user."""
+    """The results of a run: its variants, the files that compare them, and notes for the user."""
 
     folder: Path
     variants: tuple[VariantResult, ...]
-    made: tuple[Path, ...] = ()
+    files: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -92,15 +92,15 @@ def run_case(
             if name in todo:
                 if on_start is not None:
                     on_start(name, problems[name])
-                solving = VariantRun(variant, problems[name], folder / name, interrupt, writer, notify)
-                results.append(solving.solve(resume=resume and not force))
+                variant_run = VariantRun(variant, problems[name], folder / name, interrupt, writer, notify)
+                results.append(variant_run.solve(resume=resume and not force))
             else:
                 results.append(VariantResult(name, folder / name, "up to date", read_run(folder / name)))
             if interrupt.requested:
                 raise Interrupted(f"interrupted after {name}; the same command with --resume continues from there")
         notes = [note for result in results for note in result.run.get("notes", ())]
-        made, more = compare_variants(case, folder, movie=movie, on_drawing=on_drawing, fresh=bool(todo) or redraw)
-    return CaseResult(folder, tuple(results), tuple(made), tuple(dict.fromkeys([*notes, *more])))
+        files, more = compare_variants(case, folder, movie=movie, on_drawing=on_drawing, rewrite=bool(todo) or redraw)
+    return CaseResult(folder, tuple(results), tuple(files), tuple(dict.fromkeys([*notes, *more])))
 
 
 def _is_movie_changed(case: Case, folder: Path) -> bool:

@@ -1,7 +1,7 @@
 """Checkpoints: everything that a run needs to continue bit for bit, with a checksum; the last two are kept.
 
 A file is a SHA-256 in hexadecimal, a line of JSON (step, energy guard, effort since the last frame, summary of the
-frames written) and an .npz of float64 arrays. It is written after a step and before that step's frame, when every frame
+written frames) and an .npz of float64 arrays. It is written after a step and before that step's frame, when every frame
 of an earlier step is on the disk.
 """
 
@@ -24,13 +24,13 @@ from pipeline.run.recording import RunSummary
 from pipeline.stepping.report import Effort, ModelChoice
 from pipeline.stepping.state import EnergyRecord, Memory, State
 
-_KEPT = 2
+_COUNT = 2
 _OWNERS = ("stepper", "inversion")  # of the arrays in a memory: stored as "owner.name"
 
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A state, the effort since the last frame and the summary of the frames written."""
+    """A state, the effort since the last frame and the summary of the written frames."""
 
     state: State
     effort: Effort
@@ -55,7 +55,7 @@ class CheckpointFolder:
     def write(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint and remove all but the last two; raises OutputError."""
         write_whole(self.folder / f"step_{checkpoint.state.step:09d}.checkpoint", encode_checkpoint(checkpoint))
-        for old in self._paths()[_KEPT:]:
+        for old in self._paths()[_COUNT:]:
             old.unlink(missing_ok=True)
         self._since = time.monotonic()
 

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     import xarray
 
 MOVIE_FILES = ("comparison.mp4", "comparison.png")
-_EFFORT = "effort.png"  # if a variant has model = "auto"
+_DATASET, _FIGURES = "comparison.nc", ("volume.png", "energy.png")
+_EFFORT = "effort.png"
 
 
 def compare_variants(
@@ -28,46 +29,53 @@ def compare_variants(
     folder: Path,
     *,
     movie: bool,
-    fresh: bool = True,
+    rewrite: bool = True,
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> tuple[list[Path], list[str]]:
-    """Join and draw every variant in the folder that is a result of this case; return the new files and notes."""
-    runs = {name: run for name, run in find_runs(case, folder).items() if run["status"] not in UNFINISHED}
-    usable = list(runs)
-    if not usable:
-        return [], ["no variant has a frame: nothing to compare"]
-    paths = {
-        n: folder / n for n in ("comparison.nc", "volume.png", "energy.png", "comparison.mp4", "comparison.png", SCRIPT)
-    }
-    if not fresh and all(path.exists() for name, path in paths.items() if movie or name not in MOVIE_FILES):
-        return [], []
-    for stale in (*MOVIE_FILES, _EFFORT):
-        (folder / stale).unlink(missing_ok=True)
-    title = case.movie.title or case.name.replace("_", " ")
-    statistics = {name: folder / name / "statistics.nc" for name in usable}
-    notes = list(join_variants(statistics, paths["comparison.nc"], title=title))
-    from pipeline.views.plots import write_effort_figure, write_energy_figure, write_volume_figure
+    """Join and draw every variant in the folder that is a result of this case; return the new files and notes.
 
-    made = [paths["comparison.nc"], paths["volume.png"], paths["energy.png"]]
-    if numbers := {name: steps for name in usable if (steps := _read_steps(statistics[name])).sizes.get("step")}:
-        write_effort_figure(numbers, folder / _EFFORT, title="The model that each step needed")
-        made.append(folder / _EFFORT)
-    with open_dataset(paths["comparison.nc"]) as dataset:
-        write_volume_figure(dataset, paths["volume.png"], title=title)
-        write_energy_figure(dataset, paths["energy.png"], title=title)
-        made.append(
-            _write_paraview_script(
-                folder, dataset, {n: str(run["case"]["output"]["format"]) for n, run in runs.items()}
-            )
-        )
-    shown = [name for name in case.movie.variants if name in usable]
+    Without `rewrite`, nothing is written if all files exist.
+    """
+    runs = {name: run for name, run in find_runs(case, folder).items() if run["status"] not in UNFINISHED}
+    if not runs:
+        return [], ["no variant has a frame: nothing to compare"]
+    wanted = (_DATASET, *_FIGURES, SCRIPT, *(MOVIE_FILES if movie else ()))
+    if not rewrite and all((folder / name).exists() for name in wanted):
+        return [], []
+    for outdated in (*MOVIE_FILES, _EFFORT):
+        (folder / outdated).unlink(missing_ok=True)
+    statistics = {name: folder / name / "statistics.nc" for name in runs}
+    notes = list(join_variants(statistics, folder / _DATASET, title=make_title(case)))
+    formats = {name: str(run["case"]["output"]["format"]) for name, run in runs.items()}
+    with open_dataset(folder / _DATASET) as dataset:
+        figures = _draw_figures(dataset, statistics, folder, title=make_title(case))
+        files = [folder / _DATASET, *figures, _write_paraview_script(dataset, folder, formats)]
+    shown = [name for name in case.movie.variants if name in runs]
     if movie and shown:
         try:
             draw_movie(case, folder, shown, on_drawing=on_drawing)
-            made += [paths["comparison.mp4"], paths["comparison.png"]]
+            files += [folder / name for name in MOVIE_FILES]
         except OutputError as error:
             notes.append(str(error))
-    return made, notes
+    return files, notes
+
+
+def make_title(case: Case) -> str:
+    """Return the title of a case's pictures and page."""
+    return case.movie.title or case.name.replace("_", " ")
+
+
+def _draw_figures(dataset: "xarray.Dataset", statistics: Mapping[str, Path], folder: Path, *, title: str) -> list[Path]:
+    """Draw volumes and energies, and effort.png if a variant has model = "auto"; return the files."""
+    from pipeline.views.plots import write_effort_figure, write_energy_figure, write_volume_figure
+
+    volume, energy, effort = (folder / name for name in (*_FIGURES, _EFFORT))
+    efforts = {name: steps for name, path in statistics.items() if (steps := _read_steps(path)).sizes.get("step")}
+    if efforts:
+        write_effort_figure(efforts, effort, title="The model that each step needed")
+    write_volume_figure(dataset, volume, title=title)
+    write_energy_figure(dataset, energy, title=title)
+    return [volume, energy, *([effort] if efforts else [])]
 
 
 def _read_steps(path: Path) -> "xarray.Dataset":
@@ -76,7 +84,7 @@ def _read_steps(path: Path) -> "xarray.Dataset":
         return dataset.drop_dims("time").load()
 
 
-def _write_paraview_script(folder: Path, dataset: "xarray.Dataset", formats: Mapping[str, str]) -> Path:
+def _write_paraview_script(dataset: "xarray.Dataset", folder: Path, formats: Mapping[str, str]) -> Path:
     """Write the script that shows the variants in ParaView, all in one color range."""
     from pipeline.views.track import SAMPLED_CELLS, fit_color_radius
 
@@ -91,13 +99,13 @@ def draw_movie(
     """Draw comparison.mp4 and comparison.png of the variants' recorded frames; raises OutputError without OpenGL."""
     from pipeline.views.movie.movie import write_movie
 
-    path = folder / "comparison.mp4"
+    path, poster = (folder / name for name in MOVIE_FILES)
     write_movie(
         [read_series(folder / name, name) for name in shown],
         [name.replace("_", " ") for name in shown],
         path,
-        title=case.movie.title or case.name.replace("_", " "),
-        poster=folder / "comparison.png",
+        title=make_title(case),
+        poster=poster,
         speed=case.movie.speed,
         fps=case.movie.fps,
         size=(case.movie.size[0], case.movie.size[1]),
@@ -118,7 +126,7 @@ def find_runs(case: Case, folder: Path) -> dict[str, dict[str, Any]]:
 
 def _has_frames(run: dict[str, Any], folder: Path) -> bool:
     """Return whether there is a frame; the run.json of a killed run has no count."""
-    return bool(run) and (bool(run.get("frames")) or any((folder / one.index).is_file() for one in FORMATS.values()))
+    return bool(run) and (bool(run.get("frames")) or any((folder / row.index).is_file() for row in FORMATS.values()))
 
 
 def _belongs_to(run: dict[str, Any], case: Case, folder: Path) -> bool:
@@ -129,13 +137,13 @@ def _belongs_to(run: dict[str, Any], case: Case, folder: Path) -> bool:
     wanted = result_settings(resolve_mass(case.variant(folder.name)))
     if run["case"] == wanted:
         return True
-    own = folder / "case.toml"
-    if case.mesh_path is None or not own.is_file():
+    copy = folder / "case.toml"
+    if case.mesh_path is None or not copy.is_file():
         return False
-    same = load_case(own).mesh_path
+    mesh_path = load_case(copy).mesh_path
     return (
-        same is not None
-        and same.resolve() == case.mesh_path.resolve()
+        mesh_path is not None
+        and mesh_path.resolve() == case.mesh_path.resolve()
         and run["case"] | {"mesh": run["case"]["mesh"] | {"file": wanted["mesh"]["file"]}} == wanted
     )
 

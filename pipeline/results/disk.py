@@ -10,13 +10,13 @@ from pipeline.problem.problem import Problem
 from pipeline.run.measures import QUANTILES
 
 # Fitted to eight scenes of 64 to 10 000 cells: the estimate is 0.88 to 1.68 of their size. Numbers of a motion hardly
-# compress: base64 of zlib's best is 1.27 of their size. Cells and regular rest points compress well.
-_FRAME_HEAD, _FRAME_CELL = 6500, 7
-_ENCODED = {"vtu": 1.27, "vtkhdf": 1.0}
-_WORD = {"float64": 8, "float32": 4}
-_NUMBERS_A_FRAME = 36 + len(QUANTILES)  # per body, in statistics.nc, in chunks of 256 frames
+# compress: zlib at its best level and base64 give 1.27 of their size. Cells and regular rest points compress well.
+_FRAME_BYTES, _FRAME_CELL_BYTES = 6500, 7
+_ENCODED_SHARE = {"vtu": 1.27, "vtkhdf": 1.0}
+_VALUE_BYTES = {"float64": 8, "float32": 4}
+_NUMBERS_PER_FRAME = 36 + len(QUANTILES)  # per body, in statistics.nc, in chunks of 256 frames
 _CHUNK = 256
-_DATASET_HEAD = 20_000
+_DATASET_BYTES = 20_000
 _MARGIN = 1.1
 
 
@@ -25,21 +25,21 @@ def estimate_bytes(problem: Problem, output: OutputSpec) -> float:
     mesh = problem.body.mesh
     (n, d), e, count = mesh.points.shape, len(mesh.cells), problem.frame_count
     # position, displacement and velocity per node; volume, volume ratio and rotation angle per cell
-    numbers = 3 * (d * n + e) * _WORD[output.precision] * _ENCODED[output.format]
-    frame = _FRAME_HEAD + numbers + _FRAME_CELL * e
+    numbers = 3 * (d * n + e) * _VALUE_BYTES[output.precision] * _ENCODED_SHARE[output.format]
+    frame = _FRAME_BYTES + numbers + _FRAME_CELL_BYTES * e
     chunks = -(-count // _CHUNK) * _CHUNK
-    dataset = _DATASET_HEAD + 16 * e * count + 8 * _NUMBERS_A_FRAME * chunks
+    dataset = _DATASET_BYTES + 16 * e * count + 8 * _NUMBERS_PER_FRAME * chunks
     return count * frame + 2 * dataset
 
 
 def check_disk_space(folder: Path, problems: Mapping[str, tuple[Problem, OutputSpec]]) -> None:
     """Raise OutputError if the variants of a case need more space than is free.
 
-    Existing files in their folders count as free, since they are continued or replaced.
+    The files already in their folders count as free, since a run continues or replaces them.
     """
-    needed = sum(max(estimate_bytes(*one) - _measure_folder(folder / name), 0.0) for name, one in problems.items())
-    there = next(path for path in (folder, *folder.parents) if path.exists())
-    free = shutil.disk_usage(there).free
+    needed = sum(max(estimate_bytes(*row) - _measure_folder(folder / name), 0.0) for name, row in problems.items())
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    free = shutil.disk_usage(existing).free
     if needed * _MARGIN <= free:
         return
     frames = sum(problem.frame_count for problem, _ in problems.values())

@@ -1,4 +1,4 @@
-"""A step that failed: the state of the body before it, the worst cell, and possible remedies."""
+"""A failed step: the state of the body before it, the worst cell, and possible remedies."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +20,9 @@ from pipeline.run.measures import measure, spatial
 from pipeline.stepping.state import State
 
 FILE = "failure.vtu"
-# one solve per step is off by 1/cos^2 of the angle that a cell turns in the step: 3 % at 10 degrees
-_TURN = 10.0
-_POOR = 0.1  # quality of a cell; a regular cell has 1
+# with one solve per step, volumes are off by 1/cos^2 of the angle by which a cell turns: 3 % at 10 degrees
+_ACCURATE_DEGREES = 10.0
+_POOR_QUALITY = 0.1  # quality of a cell; a regular cell has 1
 _MOST_DEGREES = 90.0  # rotation of a cell in a step; larger angles are meaningless
 
 
@@ -35,7 +35,7 @@ class Failure:
     volume_ratio: Floats
     rotation_angle: Floats  # [degree]
     energy_density: Floats  # [J/m3]
-    turn: Floats  # [degree] rotation of each cell in a step at the current velocities
+    rotation_per_step: Floats  # [degree] of each cell, at the current velocities
     quality: Floats
 
     @property
@@ -43,39 +43,41 @@ class Failure:
         """Return the cell whose volume ratio is farthest from one."""
         return int(np.abs(self.volume_ratio - 1).argmax())
 
-    def message(self, error: SolveError) -> str:
+    def describe(self, error: SolveError) -> str:
         """Return one line: what happened, where, and the likeliest remedies with their numbers."""
         cell, step = self.worst, self.state.step
-        where = (
+        place = (
             f"after step {step} {int((self.volume_ratio <= 0).sum())} of {len(self.volume_ratio)} cells are inverted, "
             f"the worst, cell {cell}, has volume ratio {self.volume_ratio[cell]:.3g} and quality "
-            f"{self.quality[cell]:.2g} at rest; cells turn by up to {self.turn.max():.3g} degrees per step"
+            f"{self.quality[cell]:.2g} at rest; cells turn by up to {self.rotation_per_step.max():.3g} degrees per step"
         )
-        return f"{error}; {where}; {'; or '.join(self.list_remedies())} ({FILE} shows where)"
+        return f"{error}; {place}; {'; or '.join(self.list_remedies())} ({FILE} shows where)"
 
     def list_remedies(self) -> list[str]:
         """Return possible remedies, the likeliest first."""
         method, dt = self.problem.method, self.problem.dt
         traits = find_traits(method)
-        out = []
+        remedies = []
         if method.stepper in STEP_LIMITS:
             bound, _ = STEP_LIMITS[method.stepper]
-            out.append(f"{method.stepper} is stable below {bound(self.problem.body):.3g} s at rest: use half of that")
+            remedies.append(
+                f"{method.stepper} is stable below {bound(self.problem.body):.3g} s at rest: use half of that"
+            )
         else:
-            turn = min(float(self.turn.max()), _MOST_DEGREES)
-            shorter = dt * min(0.5, _TURN / turn if turn else 0.5)
-            out.append(f"try schedule.dt = {shorter:.2g}")
+            degrees = min(float(self.rotation_per_step.max()), _MOST_DEGREES)
+            shorter = dt * min(0.5, _ACCURATE_DEGREES / degrees if degrees else 0.5)
+            remedies.append(f"try schedule.dt = {shorter:.2g}")
             if traits.is_converged:
-                out.append(f"method.max_iterations = {10 * method.max_iterations}")
+                remedies.append(f"method.max_iterations = {10 * method.max_iterations}")
             elif not (traits.chooses_model or traits.is_linear):
-                out.append('method.iterations = "converged" with method.rotation = "polar"')
+                remedies.append('method.iterations = "converged" with method.rotation = "polar"')
         poor = int(self.quality.argmin())
-        if self.quality[poor] < _POOR:
-            out.append(f"a better mesh: the quality of cell {poor} is {self.quality[poor]:.2g} (1 is regular)")
-        return out
+        if self.quality[poor] < _POOR_QUALITY:
+            remedies.append(f"a better mesh: the quality of cell {poor} is {self.quality[poor]:.2g} (1 is regular)")
+        return remedies
 
-    def record(self) -> dict[str, Any]:
-        """Return the entry for run.json."""
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry `failure` of run.json."""
         worst = self.worst
         return {
             "file": FILE,
@@ -83,7 +85,7 @@ class Failure:
             "time": self.state.step * self.problem.dt,
             "inverted_count": int((self.volume_ratio <= 0).sum()),
             "worst": {"cell": worst, "volume_ratio": float(self.volume_ratio[worst])},
-            "turn_a_step": float(self.turn.max()),
+            "rotation_per_step": float(self.rotation_per_step.max()),
             "worst_quality": {"cell": int(self.quality.argmin()), "quality": float(self.quality.min())},
         }
 
@@ -98,7 +100,7 @@ class Failure:
         }
         cell_data = {
             name: getattr(self, name)
-            for name in ("volume_ratio", "rotation_angle", "energy_density", "turn", "quality")
+            for name in ("volume_ratio", "rotation_angle", "energy_density", "rotation_per_step", "quality")
         }
         field_data = {
             "TimeValue": np.array([[state.step * self.problem.dt]]),
@@ -114,7 +116,7 @@ def examine_failure(problem: Problem, state: State) -> Failure:
     body, mesh = problem.body, problem.body.mesh
     with np.errstate(all="ignore"):  # the values may be huge
         F = deformation_gradient(mesh, state.x)
-        ahead = deformation_gradient(mesh, state.x + problem.dt * state.v)
+        F_next = deformation_gradient(mesh, state.x + problem.dt * state.v)
         measured = measure(Frame(0, 0.0, mesh, state.x))
         return Failure(
             problem,
@@ -122,6 +124,6 @@ def examine_failure(problem: Problem, state: State) -> Failure:
             volume_ratio=measured["volume_ratio"],
             rotation_angle=measured["rotation_angle"],
             energy_density=body.law.energy_density(F, body.law.rotations(F)),
-            turn=np.degrees(angle(np.swapaxes(polar(F), 1, 2) @ polar(ahead))),
+            rotation_per_step=np.degrees(angle(np.swapaxes(polar(F), 1, 2) @ polar(F_next))),
             quality=quality(mesh),
         )

@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.case import Case, load_case
 from pipeline.errors import OutputError
 from pipeline.results.analysis_folder import Analysis, Comparison
-from pipeline.results.comparison import find_runs
+from pipeline.results.comparison import MOVIE_FILES, find_runs, make_title
 from pipeline.results.variant_run import UNFINISHED, describe_difference, read_run, result_settings
 from pipeline.series import Series, read_series
 from pipeline.system.version import VERSION
@@ -20,7 +20,7 @@ from pipeline.views.html.solids import OnFrameRead
 from pipeline.views.paraview import SCRIPT_NAME as SCRIPT
 
 REPORT = "report.html"
-_AGAIN = "How to repeat this"
+_REPEAT = "How to repeat this"
 
 
 def write_report(folder: str | os.PathLike[str], on_frame: OnFrameRead | None = None) -> Path:
@@ -49,12 +49,12 @@ def write_report(folder: str | os.PathLike[str], on_frame: OnFrameRead | None = 
     ]  # fmt: skip
     notes = missing + [f"{name} failed: {run['message']}" for name, run in runs.items() if run["status"] == "failed"]
     notes += [note for run in runs.values() for note in run["notes"]]
-    movie, poster = (folder / f"comparison.{ending}" for ending in ("mp4", "png"))
-    title = case.movie.title or case.name.replace("_", " ")
+    movie, poster = (folder / name for name in MOVIE_FILES)
     closing = [*_list_settings(case, folder), *_list_versions(next(iter(runs.values()))), *_list_commands(folder)]
     result = PageContent(
-        title, tuple(sides), closing, notes, movie if movie.is_file() else None, poster if poster.is_file() else None
-    )
+        make_title(case), tuple(sides), closing, notes,
+        movie if movie.is_file() else None, poster if poster.is_file() else None,
+    )  # fmt: skip
     return write_page(result, folder / REPORT, on_frame)
 
 
@@ -72,9 +72,9 @@ def is_report_current(folder: Path) -> bool:
     page = folder / REPORT
     if not page.is_file():
         return False
-    made = page.stat().st_mtime_ns
+    written = page.stat().st_mtime_ns
     names = ("case.toml", "*.nc", "*.mp4", "*/run.json", "*/statistics.nc")
-    return all(path.stat().st_mtime_ns <= made for name in names for path in folder.glob(name))
+    return all(path.stat().st_mtime_ns <= written for name in names for path in folder.glob(name))
 
 
 def write_analysis_report(analysis: Analysis | Comparison, series: Sequence[Series], command: str) -> Path:
@@ -89,7 +89,7 @@ def write_analysis_report(analysis: Analysis | Comparison, series: Sequence[Seri
     )
     movie, poster = (analysis.folder / f"movie.{ending}" for ending in ("mp4", "png"))
     closing: list[Block] = _list_node_distances(analysis) if isinstance(analysis, Comparison) else []
-    closing += [Heading(_AGAIN), CodeListing(command), Paragraph(f"Measured by pipeline {VERSION}.")]
+    closing += [Heading(_REPEAT), CodeListing(command), Paragraph(f"Measured by pipeline {VERSION}.")]
     result = PageContent(
         ", ".join(side.label for side in sides), sides, closing, analysis.notes,
         movie if movie in analysis.files else None, poster if poster in analysis.files else None,
@@ -137,4 +137,4 @@ def _list_commands(folder: Path) -> list[Block]:
         f"pipeline report {place}    # write this page again",
         f"paraview --script={place}/{SCRIPT}    # open every frame in ParaView",
     )
-    return [Heading(_AGAIN), CodeListing("\n".join(lines))]
+    return [Heading(_REPEAT), CodeListing("\n".join(lines))]

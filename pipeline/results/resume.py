@@ -39,8 +39,8 @@ def prepare_resume(
     statistics.nc is rebuilt from the frames before the checkpoint, since a killed run may have damaged it. If frames
     are rounded, the values of cells come from the old file and are compared with each frame.
     """
-    for hidden in folder.rglob(".*.tmp*"):
-        hidden.unlink(missing_ok=True)
+    for unfinished in folder.rglob(".*.tmp*"):
+        unfinished.unlink(missing_ok=True)
     notes = []
     for checkpoint in CheckpointFolder(folder / CHECKPOINTS, seconds=0.0).iterate_readable():
         if isinstance(checkpoint, str):
@@ -85,29 +85,31 @@ def _rebuild_statistics(folder: Path, problem: Problem, output: OutputSpec, coun
             grid = series.read_grid(index)
             read = replace(series.read_frame(index, grid), mesh=problem.body.mesh)
             if read.step != index * problem.steps_per_frame:
-                raise SeriesError(f"{files[index]}: frame {index} is not there")
+                raise SeriesError(f"{files[index]}: holds step {read.step}, not step {index * problem.steps_per_frame}")
             sink.write(read, measure(read) if old is None else {**read.known, **_read_cell_values(old, grid, index)})
 
 
 @contextmanager
 def _open_old_statistics(path: Path, count: int) -> Iterator[Any]:
-    """Yield the dataset of statistics.nc, its first `count` frames still there; raises SeriesError."""
+    """Yield the dataset of statistics.nc; raises SeriesError if it has fewer than `count` frames."""
     import netCDF4
 
     try:
         with NETCDF_LOCK, netCDF4.Dataset(path) as old:
             old.set_auto_mask(False)
             if len(old.dimensions["time"]) < count:
-                raise SeriesError(f"{path}: {len(old.dimensions['time'])} of {count} frames, and the files are rounded")
+                raise SeriesError(
+                    f"{path}: has {len(old.dimensions['time'])} of {count} frames, and the frame files are rounded"
+                )
             yield old
     except (OSError, RuntimeError, KeyError, IndexError) as error:
-        raise SeriesError(f"{path}: cannot be read, and the files are rounded ({error})") from error
+        raise SeriesError(f"{path}: cannot be read, and the frame files are rounded ({error})") from error
 
 
 def _read_cell_values(old: Any, grid: Grid, index: int) -> dict[str, Any]:
-    """Return what a dataset says of the cells in a frame; raises SeriesError where its file says something else."""
+    """Return a dataset's values of the cells in a frame; raises SeriesError if the frame's file has other values."""
     rows = {name: old[name][index] for name, variable in VARIABLES.items() if variable.dims == ("cell",)}
     for name, row in rows.items():
         if not np.array_equal(row.astype(np.float32), grid.cell_data[name]):
-            raise SeriesError(f"statistics.nc: {name} of frame {index} is not that of its file")
+            raise SeriesError(f"statistics.nc: {name} of frame {index} differs from that in the frame's file")
     return rows

@@ -1,4 +1,4 @@
-"""One variant is solved and recorded into its folder, from the start or a checkpoint; run.json records the outcome."""
+"""Solves one variant and records it in its folder, from the start or a checkpoint; run.json has the outcome."""
 
 import json
 import os
@@ -38,6 +38,7 @@ Notify = Callable[[str, Problem, Frame, RunSummary], None]
 UNFINISHED = ("running", "interrupted")
 _COUNTS = ("steps", "solves", "iterations", "linear_iterations", "factorizations", "rotations")
 _ROUNDED = "output.precision = 'float32': statistics.nc cannot be rebuilt from the frames, which are rounded"
+# whose version can change a digit of the results or a byte of the files
 _PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
 
 
@@ -73,7 +74,7 @@ def read_run(folder: Path) -> dict[str, Any]:
 def result_settings(case: Case) -> dict[str, Any]:
     """Return the part of a case that its results depend on: everything except the movie and the checkpoints."""
     document = {key: value for key, value in case.as_dict().items() if key != "movie"}
-    document["output"] = {k: v for k, v in document["output"].items() if not k.startswith("checkpoint_")}
+    document["output"] = {key: value for key, value in document["output"].items() if not key.startswith("checkpoint_")}
     return document
 
 
@@ -93,7 +94,7 @@ def _flatten(value: Any, prefix: str = "") -> dict[str, Any]:
 
 
 class VariantRun:
-    """One variant that is solved and recorded, from the start or from a checkpoint."""
+    """Solves one variant and records it, from the start or from a checkpoint."""
 
     def __init__(
         self,
@@ -112,10 +113,10 @@ class VariantRun:
 
     def solve(self, *, resume: bool) -> VariantResult:
         """Solve the variant and return the outcome; a SolveError and an interruption are recorded in run.json."""
-        run, began = self._open(resume=resume)
+        run, checkpoint = self._open(resume=resume)
         status: Status = "finished"
         try:
-            self._record(began)
+            self._record(checkpoint)
         except SolveError as error:
             status = "failed"
             run |= self._describe_failure(error)
@@ -128,37 +129,37 @@ class VariantRun:
         return VariantResult(self.name, self.folder, status, run)
 
     def _open(self, *, resume: bool) -> tuple[dict[str, Any], Checkpoint | None]:
-        """Return the run.json of a run that starts, and the checkpoint from which it continues."""
+        """Prepare the folder; return the run.json of the starting run and the checkpoint from which it continues."""
         old = read_run(self.folder) if resume else {}
         run = _describe_start(self.case, self.problem)
-        began = None
+        checkpoint = None
         if old.get("status") in UNFINISHED:
-            began, notes = prepare_resume(self.folder, self.problem, self.case.output, title=self._title)
+            checkpoint, notes = prepare_resume(self.folder, self.problem, self.case.output, title=self._title)
             run["notes"] += notes + _note_other_packages(old, run)
-        if began is None:
+        if checkpoint is None:
             _clear_folder(self.folder)
         else:
-            self.summary = began.summary
-            run["resumed_after_steps"] = [*old.get("resumed_after_steps", ()), began.state.step]
+            self.summary = checkpoint.summary
+            run["resumed_after_steps"] = [*old.get("resumed_after_steps", ()), checkpoint.state.step]
         write_whole(self.folder / "case.toml", self.case.to_toml(self.folder))
         write_whole(self.folder / "run.json", _to_json(run))
-        return run, began
+        return run, checkpoint
 
-    def _record(self, began: Checkpoint | None) -> None:
-        written = next_frame_index(began, self.problem) if began else 0
+    def _record(self, checkpoint: Checkpoint | None) -> None:
+        written = next_frame_index(checkpoint, self.problem) if checkpoint else 0
         output, times = self.case.output, frame_times(written, self.problem)
         sinks: list[Sink] = [
             FORMATS[output.format].make_sink(self.folder, times, output.precision, self.problem.frame_count),
             NetcdfSink(self.folder / "statistics.nc", title=self._title, earlier=written),
         ]
-        beside = len(self.problem.body.mesh.cells) >= WORTH_A_PROCESS
-        record = self.writer.start_recording if beside else Recording
+        in_child = len(self.problem.body.mesh.cells) >= WORTH_A_PROCESS
+        record = self.writer.start_recording if in_child else Recording
         recording = record(sinks, on_frame=self._on_frame, before=self.summary)
 
         def after_step(state: State, effort: Effort) -> None:
             self._after_step(state, effort, recording)
 
-        start, effort = (began.state, began.effort) if began else (None, None)
+        start, effort = (checkpoint.state, checkpoint.effort) if checkpoint else (None, None)
         self._last = start or self.problem.start
         self.interrupt.solving = True
         try:
@@ -176,10 +177,10 @@ class VariantRun:
         if self.summary is None:  # it failed before the first frame
             return {"message": str(error)}
         failure = examine_failure(self.problem, self._last)
-        message = failure.message(error)
+        message = failure.describe(error)
         with suppress(OutputError):  # not essential: the frames are complete
             failure.write(self.folder, message)
-        return {"message": message, "failure": failure.record()}
+        return {"message": message, "failure": failure.as_dict()}
 
     def _on_frame(self, frame: Frame, summary: RunSummary) -> None:
         self.summary = summary
@@ -224,7 +225,7 @@ def _clear_folder(folder: Path) -> None:
     """Remove the files of an earlier run and nothing else."""
     try:
         # run.json first: without it, files that a kill leaves behind are cleared again and never resumed
-        for name in ("run.json", "case.toml", *(one.index for one in FORMATS.values()), "statistics.nc", FAILURE):
+        for name in ("run.json", "case.toml", *(row.index for row in FORMATS.values()), "statistics.nc", FAILURE):
             (folder / name).unlink(missing_ok=True)
         for name in (CHECKPOINTS, "frames"):
             shutil.rmtree(folder / name, ignore_errors=True)
@@ -253,7 +254,6 @@ def _describe_start(case: Case, problem: Problem) -> dict[str, Any]:
 
 def _describe_end(summary: RunSummary, problem: Problem) -> dict[str, Any]:
     per_step = summary.seconds_per_step
-    counts = {k: getattr(summary.work, k) for k in _COUNTS}
     return {
         "frames": summary.frames,
         "last_frame": {"index": summary.frames - 1, "step": summary.steps, "time": summary.time},
@@ -262,7 +262,7 @@ def _describe_end(summary: RunSummary, problem: Problem) -> dict[str, Any]:
             "cell": summary.worst_cell,
             "time": summary.worst_time,
         },
-        "work": counts,
+        "work": {name: getattr(summary.work, name) for name in _COUNTS},
         "seconds": {
             "setup": summary.setup_seconds,
             "solving": summary.work.seconds,

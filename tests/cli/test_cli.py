@@ -395,7 +395,7 @@ def test_the_command_in_a_process_of_its_own(case, tmp_path):
     ]
     done = subprocess.run([*command, "--out", str(tmp_path / "o")], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0 and done.stderr == ""
-    assert {Path(path).name for path in json.loads(done.stdout)["made"]} == {
+    assert {Path(path).name for path in json.loads(done.stdout)["files"]} == {
         "comparison.nc",
         "open_in_paraview.py",
         "volume.png",

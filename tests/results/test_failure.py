@@ -117,14 +117,14 @@ def test_what_may_help_is_told_with_its_numbers(tmp_path):
     problem = built(tmp_path, initial={"spin": {"axis": [0.0, 1.0, 0.0], "rate": 2000.0}}, supports=None)
     found = examine_failure(problem, problem.start)
     # a rate w turns x + dt v by atan(w dt)
-    assert found.turn == pytest.approx(np.degrees(np.arctan(np.radians(2000.0) * 0.02)))
+    assert found.rotation_per_step == pytest.approx(np.degrees(np.arctan(np.radians(2000.0) * 0.02)))
     assert found.list_remedies() == [
-        f"try schedule.dt = {0.02 * 10 / found.turn[0]:.2g}",
+        f"try schedule.dt = {0.02 * 10 / found.rotation_per_step[0]:.2g}",
         'method.iterations = "converged" with method.rotation = "polar"',
     ]
     turned = State(7, problem.body.mesh.points @ turn(3, [0.0, 0.0, 1.0], 0.5).T, 0 * problem.start.v)
     assert examine_failure(problem, turned).rotation_angle == pytest.approx(np.degrees(0.5))
-    assert examine_failure(problem, turned).turn == pytest.approx(0, abs=1e-5)
+    assert examine_failure(problem, turned).rotation_per_step == pytest.approx(0, abs=1e-5)
 
 
 def test_a_poor_mesh_is_blamed(tmp_path):

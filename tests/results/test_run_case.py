@@ -82,7 +82,7 @@ def test_every_variant_has_its_files(done):
         files = {path.name for path in (done.folder / name).iterdir()}
         assert files == {"case.toml", "run.json", "series.pvd", "statistics.nc", "frames"}
         assert len(list((done.folder / name / "frames").iterdir())) == 5
-    assert set(done.made) == {done.folder / name for name in names if "." in name} - {done.folder / "case.toml"}
+    assert set(done.files) == {done.folder / name for name in names if "." in name} - {done.folder / "case.toml"}
 
 
 def test_run_json_says_what_was_done(done):
@@ -167,7 +167,7 @@ def test_another_movie_alone_is_drawn_anew_and_nothing_is_solved(out, tmp_path, 
 
     def again(**movie):
         case = load_case(write_case(tmp_path, movie=movie))
-        return run_case(case, out).made
+        return run_case(case, out).files
 
     assert again() and drawn == [(1.0, None)]  # none was there
     assert again() == () and len(drawn) == 1
@@ -329,7 +329,7 @@ def test_a_variant_that_cannot_start_is_recorded_without_frames(tmp_path, monkey
     result = solve(tmp_path / "outputs")
     assert set(statuses(result).values()) == {"failed"} and result.exit_code == 3
     assert json.loads((result.folder / "polar" / "run.json").read_text())["message"] == "no factor"
-    assert result.notes and result.made == ()
+    assert result.notes and result.files == ()
 
 
 def test_a_run_that_is_interrupted_stays_marked_as_running_with_its_frames(tmp_path, monkeypatch):

@@ -165,7 +165,7 @@ def test_the_choice_of_every_step_is_recorded_plotted_and_read_back_from_frames(
         assert np.isnan(again[0]).all() and np.array_equal(np.concatenate(again[1:]), dataset["step_indicator"])
     with xarray.open_dataset(result.folder / "comparison.nc") as comparison:
         assert "step" not in comparison.dims and "rung" in comparison
-    assert result.folder / "effort.png" in result.made
+    assert result.folder / "effort.png" in result.files
 
 
 def test_recorded_choices_do_not_disturb_readers_of_frames(tmp_path) -> None:

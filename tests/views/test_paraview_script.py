@@ -32,13 +32,13 @@ def test_each_run_leaves_a_script_that_names_its_variants_by_relative_paths(tmp_
     result = run_case(load_case(write_case(tmp_path, output={"format": name})), tmp_path / "out", movie=False)
     script = result.folder / SCRIPT_NAME
     values = read_values(script)
-    assert script in result.made
+    assert script in result.files
     assert values["VARIANTS"] == [(one.name, f"{one.name}/{index}") for one in result.variants]
     assert all((result.folder / path).is_file() for _, path in values["VARIANTS"])
     assert 0 < values["RADIUS"] <= 1
     script.unlink()
     again = run_case(load_case(write_case(tmp_path, output={"format": name})), tmp_path / "out", movie=False)
-    assert script in again.made  # made anew though nothing had to be solved
+    assert script in again.files  # made anew though nothing had to be solved
 
 
 def test_any_name_is_written_as_it_is(tmp_path):
