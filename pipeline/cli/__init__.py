@@ -5,14 +5,14 @@ import logging
 import os
 from collections.abc import Sequence
 
-from pipeline.cli import reference, scenes, series, study
-from pipeline.cli import report as page
+from pipeline.cli import reference, report, scenes, series, study
+from pipeline.cli.options import make_shared_options
 from pipeline.cli.terminal import say
 from pipeline.errors import PipelineError
 from pipeline.system.version import VERSION
 
 INTERRUPTED = 130
-DESCRIPTION = (
+_DESCRIPTION = (
     "Measure, compare and show how much volume deformable bodies gain or lose; run scenes with linear and corotational "
     "elasticity."
 )
@@ -43,16 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _make_parser() -> argparse.ArgumentParser:
-    common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("-v", "--verbose", action="store_true", help="log progress")
-    common.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    common.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
-    parser = argparse.ArgumentParser(
-        prog="pipeline",
-        description=DESCRIPTION,
-    )
+    parser = argparse.ArgumentParser(prog="pipeline", description=_DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"pipeline {VERSION}")
-    verbs = parser.add_subparsers(required=True, metavar="VERB")
-    for module in (scenes, study, series, page, reference):
-        module.add_verbs(verbs, common)
+    verbs, shared = parser.add_subparsers(required=True, metavar="VERB"), make_shared_options()
+    for module in (scenes, study, series, report, reference):
+        module.add_verbs(verbs, shared)
     return parser

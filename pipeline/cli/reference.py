@@ -4,10 +4,14 @@ import argparse
 import json
 from typing import Any
 
+from pipeline.cli.options import SharedOptions
 
-def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
+
+def add_verbs(verbs: Any, shared: SharedOptions) -> None:
     """Add the verb `schema`."""
-    schema = verbs.add_parser("schema", parents=[common], help="print the JSON Schema of case files, for editors")
+    schema = verbs.add_parser(
+        "schema", parents=[shared.common], help="print the JSON Schema of case files, for editors"
+    )
     schema.add_argument("--markdown", action="store_true", help="print tables of all keys and choices instead")
     schema.set_defaults(run=_schema)
 

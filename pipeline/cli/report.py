@@ -4,28 +4,31 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from pipeline.cli.terminal import progress, say
+from pipeline.cli.options import SharedOptions
+from pipeline.cli.terminal import say, show_progress
 
 
-def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
+def add_verbs(verbs: Any, shared: SharedOptions) -> None:
     """Add the verbs `report` and `view`."""
     folder = argparse.ArgumentParser(add_help=False)
     folder.add_argument("folder", metavar="FOLDER", type=Path, help="a result folder, such as outputs/bar")
 
-    report = verbs.add_parser("report", parents=[common, folder], help="write report.html, a result folder as one page")
+    report = verbs.add_parser(
+        "report", parents=[*shared, folder], help="write report.html, a result folder on one page"
+    )
     report.set_defaults(run=_report)
 
     view = verbs.add_parser(
-        "view", parents=[common, folder], help="open report.html, written first if it is missing or outdated"
+        "view", parents=[*shared, folder], help="open report.html; write it first if it is missing or outdated"
     )
-    view.add_argument("--no-open", action="store_true", help="only print its path")
+    view.add_argument("--no-open", action="store_true", help="print the path of the page and do not open it")
     view.set_defaults(run=_view)
 
 
 def _report(options: argparse.Namespace) -> int:
     from pipeline.results.report import write_report
 
-    with progress(options.quiet) as bar:
+    with show_progress(options.quiet) as bar:
         path = write_report(options.folder, bar.show_reading)
     if not options.quiet:
         print(path)
@@ -39,10 +42,10 @@ def _view(options: argparse.Namespace) -> int:
 
     path = options.folder / REPORT
     if not is_report_current(options.folder):
-        with progress(options.quiet) as bar:
+        with show_progress(options.quiet) as bar:
             write_report(options.folder, bar.show_reading)
     if not options.quiet:
         print(path)
     if not options.no_open and not webbrowser.open(path.absolute().as_uri()):
-        say(f"note: no browser could be started; open {path} in a browser")
+        say(f"note: no browser could be started; open {path} yourself")
     return 0

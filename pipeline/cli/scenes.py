@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.case import Case, load_case, parse_override
-from pipeline.cli.terminal import progress, say
+from pipeline.cli.options import SharedOptions, find_default
+from pipeline.cli.terminal import say, show_progress
+from pipeline.results.case_run import CaseResult, run_case
 
 
-def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
+def add_verbs(verbs: Any, shared: SharedOptions) -> None:
     """Add the verbs for cases and their results."""
     scene = argparse.ArgumentParser(add_help=False)
     scene.add_argument("case", metavar="CASE", type=Path, help="a case file, such as cases/bar.toml")
@@ -19,60 +21,59 @@ def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
                        help="only this variant; may be repeated")  # fmt: skip
     scene.add_argument("--steps", type=int, metavar="N", help="shorten the schedule to N steps")
 
-    run = verbs.add_parser("run", parents=[common, scene], help="solve a case; write frames, statistics and a movie")
-    run.add_argument(
-        "--out", type=Path, default=Path("outputs"), metavar="DIR", help="folder for results (%(default)s)"
+    run = verbs.add_parser(
+        "run", parents=[*shared, scene], help="solve a case; write frames, statistics, figures and a movie"
     )
-    run.add_argument("--no-movie", action="store_true", help="do not draw a movie (needs no OpenGL)")
-    over = run.add_mutually_exclusive_group()
-    over.add_argument("--force", action="store_true", help="solve again and replace existing results")
-    over.add_argument("--resume", action="store_true", help="continue an unfinished run")
-    run.add_argument("--json", action="store_true", help="print only the summary, as JSON")
+    _add_result_options(run, "run")
+    run.add_argument("--no-movie", action="store_true", help="do not draw a movie, which needs OpenGL")
+    run.add_argument("--json", action="store_true", help="print only a summary, as JSON")
     run.set_defaults(run=_run)
 
     check = verbs.add_parser(
-        "check", parents=[common, scene], help="print sizes, mesh quality, frequency and damping of a case"
+        "check", parents=[shared.common, scene], help="print the sizes, mesh quality, frequency and damping of a case"
     )
     check.add_argument("--json", action="store_true", help="print the numbers as JSON")
     check.set_defaults(run=_check)
 
-    movie = verbs.add_parser("movie", parents=[common], help="draw the movie of a result folder again")
+    movie = verbs.add_parser("movie", parents=shared, help="draw the movie of a result folder again")
     movie.add_argument("folder", metavar="FOLDER", type=Path, help="a result folder, such as outputs/bar")
     movie.set_defaults(run=_movie)
 
-    again = verbs.add_parser(
-        "reproduce", parents=[common], help="run the thesis' scenes and compare each published number"
+    repeat = verbs.add_parser(
+        "reproduce", parents=shared, help="run the thesis' scenes and compare each published number"
     )
-    again.add_argument(
+    repeat.add_argument(
         "--cases", type=Path, default=Path("cases"), metavar="DIR", help="folder with the cases (%(default)s)"
     )
-    again.add_argument(
-        "--out", type=Path, default=Path("outputs"), metavar="DIR", help="folder for results (%(default)s)"
-    )
-    over = again.add_mutually_exclusive_group()
-    over.add_argument("--force", action="store_true", help="solve again and replace existing results")
-    over.add_argument("--resume", action="store_true", help="continue an unfinished scene")
-    again.set_defaults(run=_reproduce)
+    _add_result_options(repeat, "scene")
+    repeat.set_defaults(run=_reproduce)
 
     methods = verbs.add_parser(
-        "methods", parents=[common], help="list the laws, steppers and solvers that a case can choose"
+        "methods", parents=[shared.common], help="list the laws, steppers and solvers that a case can choose"
     )
     methods.set_defaults(run=_methods)
 
 
+def _add_result_options(parser: argparse.ArgumentParser, unit: str) -> None:
+    """Add the folder of results, and what happens to earlier ones in it."""
+    parser.add_argument("--out", type=Path, default=Path(find_default(run_case, "out")), metavar="DIR",
+                        help="folder for results (%(default)s)")  # fmt: skip
+    earlier = parser.add_mutually_exclusive_group()
+    earlier.add_argument("--force", action="store_true", help="solve again and replace existing results")
+    earlier.add_argument("--resume", action="store_true", help=f"continue an unfinished {unit}")
+
+
 def load_chosen_case(options: argparse.Namespace) -> Case:
-    """Return the case that the options name, with their changes."""
+    """Return the case that the options name, with the changes that they ask for."""
     return load_case(
         options.case, overrides=dict(parse_override(text) for text in options.overrides), steps=options.steps
     )
 
 
 def _run(options: argparse.Namespace) -> int:
-    from pipeline.results.case_run import run_case
-
     case = load_chosen_case(options)
     quiet = options.quiet or options.json
-    with progress(quiet) as bar:
+    with show_progress(quiet) as bar:
         result = run_case(
             case,
             options.out,
@@ -103,7 +104,7 @@ def _run(options: argparse.Namespace) -> int:
     return result.exit_code
 
 
-def _print_summary(result: Any) -> None:
+def _print_summary(result: CaseResult) -> None:
     """Print a line per variant, the notes and the files."""
     for v in result.variants:
         worst = v.run.get("worst")
@@ -151,7 +152,7 @@ def _check(options: argparse.Namespace) -> int:
 def _movie(options: argparse.Namespace) -> int:
     from pipeline.results.comparison import redraw_movie
 
-    with progress(options.quiet) as bar:
+    with show_progress(options.quiet) as bar:
         path = redraw_movie(options.folder, on_drawing=bar.show_picture)
     if not options.quiet:
         print(path)
@@ -161,7 +162,7 @@ def _movie(options: argparse.Namespace) -> int:
 def _reproduce(options: argparse.Namespace) -> int:
     from pipeline.studies.thesis import reproduce
 
-    with progress(options.quiet) as bar:
+    with show_progress(options.quiet) as bar:
         result = reproduce(
             options.cases,
             options.out,

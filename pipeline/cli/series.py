@@ -6,34 +6,41 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.cli.terminal import progress, say
+from pipeline.cli.options import SharedOptions
+from pipeline.cli.terminal import say, show_progress
 from pipeline.results.analysis_folder import Analysis, Comparison
 from pipeline.series import Series, read_series
 
 
-def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
+def add_verbs(verbs: Any, shared: SharedOptions) -> None:
     """Add the verbs `analyze` and `compare`."""
     foreign = argparse.ArgumentParser(add_help=False)
     foreign.add_argument(
-        "--displacement", metavar="FIELD", help='point field to add to the rest points; "none": the points move'
+        "--displacement", metavar="FIELD", help='point field to add to the rest points; "none" if the points move'
     )
-    foreign.add_argument("--rest", metavar="STATE", help="rest state: first, points, rest_position or a file")
-    foreign.add_argument("--strict", action="store_true", help="refuse a series with missing or damaged frames")
+    foreign.add_argument(
+        "--rest", metavar="STATE", help="rest state: first (frame), points, rest_position (a point field) or a file"
+    )
+    foreign.add_argument("--strict", action="store_true", help="refuse a series that has missing or damaged frames")
     foreign.add_argument("--movie", action="store_true", help="also draw a movie")
-    foreign.add_argument("--report", action="store_true", help="also write report.html, everything in one page")
+    foreign.add_argument("--report", action="store_true", help="also write report.html, the results on one page")
     foreign.add_argument("--out", type=Path, default=Path("outputs/analysis"), metavar="DIR",
                          help="folder for results (%(default)s)")  # fmt: skip
 
-    analyze = verbs.add_parser("analyze", parents=[common, foreign], help="measure a series of any program")
-    analyze.add_argument("series", metavar="SERIES", help="index, folder, 'pattern*.vtu', .vtkhdf or .xdmf")
+    analyze = verbs.add_parser(
+        "analyze", parents=[*shared, foreign], help="measure the volumes and rotations of any program's series"
+    )
+    analyze.add_argument(
+        "series", metavar="SERIES", help="an index (.pvd, .series), a folder, 'pattern*.vtu', .vtkhdf or .xdmf"
+    )
     analyze.set_defaults(run=_analyze)
 
-    compare = verbs.add_parser("compare", parents=[common, foreign], help="measure series side by side")
+    compare = verbs.add_parser("compare", parents=[*shared, foreign], help="measure several series side by side")
     compare.add_argument("series", metavar="SERIES", nargs="+", help="two or more series, as for analyze")
     compare.add_argument(
         "--difference",
         action="store_true",
-        help="differences of cells and nodes from the first series; needs the same cells",
+        help="also compare cells and nodes with those of the first series, which must have the same cells",
     )
     compare.set_defaults(run=_compare)
 
@@ -46,7 +53,7 @@ def _analyze(options: argparse.Namespace) -> int:
     from pipeline.results.analysis_folder import analyze
 
     series = _read(options, options.series)
-    with progress(options.quiet) as bar:
+    with show_progress(options.quiet) as bar:
         analysis = analyze(
             series, options.out, movie=options.movie, on_frame=bar.show_reading, on_drawing=bar.show_picture
         )
@@ -63,7 +70,7 @@ def _compare(options: argparse.Namespace) -> int:
     from pipeline.results.analysis_folder import compare
 
     series = [_read(options, path) for path in options.series]
-    with progress(options.quiet) as bar:
+    with show_progress(options.quiet) as bar:
         comparison = compare(
             series,
             options.out,
@@ -85,16 +92,16 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _report(
-    options: argparse.Namespace, found: Analysis | Comparison, series: Sequence[Series], words: Sequence[str]
+    options: argparse.Namespace, result: Analysis | Comparison, series: Sequence[Series], words: Sequence[str]
 ) -> None:
     """Write report.html if it was requested, with the command that repeats the analysis."""
     if not options.report:
         return
     from pipeline.results.report import write_analysis_report
 
-    given = [("--displacement", options.displacement), ("--rest", options.rest), ("--out", options.out.as_posix())]
-    words = [*words, *(word for name, value in given if value for word in (name, value))]
+    values = [("--displacement", options.displacement), ("--rest", options.rest), ("--out", options.out.as_posix())]
+    words = [*words, *(word for name, value in values if value for word in (name, value))]
     words += [f"--{name}" for name in ("strict", "movie", "difference", "report") if getattr(options, name, False)]
-    path = write_analysis_report(found, series, shlex.join(["pipeline", *words]))
+    path = write_analysis_report(result, series, shlex.join(["pipeline", *words]))
     if not options.quiet:
-        print(f"  {path}" if isinstance(found, Analysis) else path)
+        print(f"  {path}" if isinstance(result, Analysis) else path)

@@ -1,13 +1,15 @@
-"""The verb `study NAME`: questions that take many runs. A study is a row of STUDIES."""
+"""The verb `study NAME`, for questions that take many runs. A study is a row of STUDIES."""
 
 import argparse
 from collections.abc import Callable, Mapping
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pipeline.case import Case, load_case, parse_override
-from pipeline.cli.terminal import progress, say
+from pipeline.cli.options import SharedOptions, find_default
+from pipeline.cli.terminal import say, show_progress
 from pipeline.errors import CaseError, SolveError, quote_value
 
 if TYPE_CHECKING:
@@ -15,55 +17,73 @@ if TYPE_CHECKING:
 
 
 class Study(NamedTuple):
-    """A line of help, what adds the arguments, and what runs it and returns the exit code."""
+    """A line of help, a function that adds the options, and one that runs the study and returns the exit code."""
 
     text: str
-    add_arguments: Callable[[argparse.ArgumentParser], None]
+    add_options: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], int]
 
 
-def add_verbs(verbs: Any, common: argparse.ArgumentParser) -> None:
+class _StudyParser(argparse.ArgumentParser):
+    """Adds the options of a study only if it is named: its defaults and choices are in modules slow to import."""
+
+    study: Study | None = None
+
+    def parse_known_args(self, *arguments: Any, **keywords: Any) -> Any:
+        if self.study is not None:
+            self.study.add_options(self)
+        return super().parse_known_args(*arguments, **keywords)
+
+
+def add_verbs(verbs: Any, shared: SharedOptions) -> None:
     """Add the verb `study` with the names of STUDIES."""
-    study = verbs.add_parser("study", help="questions that take many runs of a case")
-    names = study.add_subparsers(required=True, metavar="NAME")
+    study = verbs.add_parser("study", help="answer a question that takes many runs of a case")
+    names = study.add_subparsers(required=True, metavar="NAME", parser_class=_StudyParser)
     for name, row in STUDIES.items():
-        one = names.add_parser(name, parents=[common, _sweeping(name)], help=row.text, description=row.text)
-        row.add_arguments(one)
-        one.set_defaults(run=partial(_interruptible, row.run))
+        parser = names.add_parser(name, parents=shared, help=row.text, description=row.text)
+        parser.add_argument("--out", type=Path, default=Path("outputs/studies") / name, metavar="DIR",
+                            help="folder for results (%(default)s)")  # fmt: skip
+        parser.set_defaults(run=partial(_run_interruptibly, row.run))
+        parser.study = row
 
 
-def _interruptible(run: Callable[[argparse.Namespace], int], options: argparse.Namespace) -> int:
-    """Return the exit code of a study; an interruption says what stands."""
+def _run_interruptibly(run: Callable[[argparse.Namespace], int], options: argparse.Namespace) -> int:
+    """Return the exit code of a study; if it is interrupted, the message says how to continue."""
     try:
         return run(options)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("interrupted; the points done so far stand, the same command goes on") from None
+        raise KeyboardInterrupt("interrupted; the same command continues from the points that are done") from None
 
 
-def _sweeping(name: str) -> argparse.ArgumentParser:
-    """Return what every study takes: where its points are computed and where they stand."""
-    parser = argparse.ArgumentParser(add_help=False)
+def _add_scheduler(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scheduler", metavar="ADDRESS", help="an existing dask scheduler, such as tcp://host:8786")
-    parser.add_argument("--out", type=Path, default=Path("outputs/studies") / name, metavar="DIR",
-                        help=f"where results go (outputs/studies/{name}); what is there is not done again")  # fmt: skip
-    return parser
 
 
-def _tradeoff_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("cases", metavar="CASE", type=Path, nargs="+", help="case files")
-    parser.add_argument("--tolerance", type=float, default=0.01, metavar="T",
-                        help="what is enough of node distance over size and half |J - J_ref| (0.01)")  # fmt: skip
-    parser.add_argument("--dt", dest="dts", type=float, nargs="+", default=[], metavar="S",
-                        help="steps to try, divisors of the longest (2, 1, 1/2, 1/4, 1/8 of the case's)")  # fmt: skip
-    parser.add_argument("--refine", type=int, nargs="+", default=[], metavar="N",
-                        help="meshes to try: cells times N, for boxes and rectangles (1 2)")  # fmt: skip
-    parser.add_argument("--repeats", type=int, default=3, metavar="N", help="runs that a time is the median of (3)")
-    parser.add_argument("--quick", action="store_true", help="three steps, the case's mesh only")
-    parser.add_argument("--steps", type=int, metavar="N", help="cut the schedule to N steps of the case")
+def _add_overrides(parser: argparse.ArgumentParser, example: str) -> None:
     parser.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
-                        help="change a key first, such as material.youngs_modulus=1e6; may be repeated")  # fmt: skip
-    parser.add_argument("--apply", action="store_true",
-                        help='append the choice to the case file, as its variant "adequate"')  # fmt: skip
+                        help=f"change a key of the case first, such as {example}; may be repeated")  # fmt: skip
+
+
+def _add_tradeoff_options(parser: argparse.ArgumentParser) -> None:
+    from pipeline.studies.tradeoff.chosen_variant import NAME
+    from pipeline.studies.tradeoff.settings import DT_FACTORS, make_plan
+    from pipeline.studies.tradeoff.study import study_tradeoff
+
+    factors = ", ".join(str(Fraction(factor)) for factor in DT_FACTORS)
+    parser.add_argument("cases", metavar="CASE", type=Path, nargs="+", help="case files")
+    parser.add_argument("--tolerance", type=float, default=find_default(make_plan, "tolerance"), metavar="T",
+                        help="accepted node distance over size, and half of |J - J_ref| (%(default)s)")  # fmt: skip
+    parser.add_argument("--dt", dest="dts", type=float, nargs="+", default=[], metavar="S",
+                        help=f"steps to try, divisors of the longest ({factors} of the case's)")  # fmt: skip
+    parser.add_argument("--refine", type=int, nargs="+", default=[], metavar="N",
+                        help="meshes to try: N times the cells along an axis of a box or rectangle (1 2)")  # fmt: skip
+    parser.add_argument("--repeats", type=int, default=find_default(study_tradeoff, "repeats"), metavar="N",
+                        help="runs per setting; its time is their median (%(default)s)")  # fmt: skip
+    parser.add_argument("--quick", action="store_true", help="try three steps, on the case's mesh only")
+    parser.add_argument("--steps", type=int, metavar="N", help="shorten the schedule to N steps of the case")
+    parser.add_argument("--apply", action="store_true", help=f'append the choice to the case file as variant "{NAME}"')
+    _add_overrides(parser, "material.youngs_modulus=1e6")
+    _add_scheduler(parser)
 
 
 def _tradeoff(options: argparse.Namespace) -> int:
@@ -80,33 +100,33 @@ def _tradeoff(options: argparse.Namespace) -> int:
         )
         for case in _tradeoff_cases(options)
     ]
-    worst = 0
+    exit_code = 0
     for plan in plans:
         try:
             _print_tradeoff(plan, options)
-        except SolveError as error:  # the other cases have their turn
+        except SolveError as error:  # the other cases are still studied
             say(f"SolveError: {error}")
-            worst = error.exit_code
-    return worst
+            exit_code = error.exit_code
+    return exit_code
 
 
 def _tradeoff_cases(options: argparse.Namespace) -> list[Case]:
-    """Return the cases that the options name and change; raises CaseError where the options are wrong."""
+    """Return the cases that the options name and change; raises CaseError if an option is wrong."""
     if not 0 < options.tolerance < 1:
-        raise CaseError(f"--tolerance {options.tolerance:g}: is not between 0 and 1")
+        raise CaseError(f"--tolerance {options.tolerance:g}: must be between 0 and 1")
     if options.repeats < 1:
-        raise CaseError(f"--repeats {options.repeats}: is not 1 or more")
+        raise CaseError(f"--repeats {options.repeats}: must be 1 or more")
     if options.apply and options.overrides:
-        raise CaseError("--apply: with --set the choice would be that of another case; edit the case file first")
+        raise CaseError("--apply: with --set the choice would be for another case; edit the case file instead")
     if options.apply and options.steps is not None:
-        raise CaseError("--apply: with --steps the choice would be that of the beginning only; leave --steps out")
+        raise CaseError("--apply: with --steps the choice would be for the beginning only; leave --steps out")
     overrides = dict(parse_override(text) for text in options.overrides)
     cases = {path: load_case(path, overrides=overrides) for path in options.cases}
     names = [case.name for case in cases.values()]
     for case in cases.values():
         if names.count(case.name) > 1:
             raise case.make_error(
-                "name", f"{quote_value(case.name)} is the name of another case too: one folder for both"
+                "name", f"{quote_value(case.name)} is also the name of another case: both would use one folder"
             )
     return list(cases.values())
 
@@ -115,8 +135,8 @@ def _print_tradeoff(plan: "Plan", options: argparse.Namespace) -> None:
     """Run the study of one case and print its answer."""
     from pipeline.studies.tradeoff.study import study_tradeoff
 
-    with progress(options.quiet) as bar:
-        found = study_tradeoff(
+    with show_progress(options.quiet) as bar:
+        result = study_tradeoff(
             plan,
             options.out / plan.case.name,
             repeats=options.repeats,
@@ -124,30 +144,32 @@ def _print_tradeoff(plan: "Plan", options: argparse.Namespace) -> None:
             write_variant=options.apply,
             on_point=lambda _, done, total: bar.show_reading(plan.case.name, done, total),
         )
-    print(found.sentence)
+    print(result.sentence)
     if not options.quiet:
-        print(*(f"  {line}" for line in (*found.lines, *found.files)), sep="\n", flush=True)
+        print(*(f"  {line}" for line in (*result.lines, *result.files)), sep="\n", flush=True)
 
 
-def _stability_arguments(parser: argparse.ArgumentParser) -> None:
+def _add_stability_options(parser: argparse.ArgumentParser) -> None:
+    from pipeline.studies.stability.slices import SLICES
+    from pipeline.studies.stability.study import study_stability
+
     parser.add_argument("case", metavar="CASE", type=Path, help="a case file")
     parser.add_argument("--slice", dest="slices", metavar="NAME", action="append", default=[],
-                        help="only this; may be repeated: dt, spin, poisson_ratio, youngs_modulus, density, sliver, "
-                             "scramble, inversion")  # fmt: skip
-    parser.add_argument("--steps", type=int, default=50, metavar="N",
-                        help="steps of an implicit trial; explicit ones take five times as many (50)")  # fmt: skip
-    parser.add_argument("--tolerance", type=float, default=0.05, metavar="T",
-                        help="what survives: worst |J - J_ref|, and worst node distance over size (0.05)")  # fmt: skip
-    parser.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
-                        help="change a key first, such as initial.factor=1; may be repeated")  # fmt: skip
+                        help=f"only this slice; may be repeated: {', '.join(SLICES)}")  # fmt: skip
+    parser.add_argument("--steps", type=int, default=find_default(study_stability, "steps"), metavar="N",
+                        help="steps of an implicit trial, a fifth of an explicit one's (%(default)s)")  # fmt: skip
+    parser.add_argument("--tolerance", type=float, default=find_default(study_stability, "tolerance"), metavar="T",
+                        help="accepted |J - J_ref|, and node distance over size (%(default)s)")  # fmt: skip
+    _add_overrides(parser, "initial.factor=1")
+    _add_scheduler(parser)
 
 
 def _stability(options: argparse.Namespace) -> int:
     from pipeline.studies.stability.study import study_stability
 
     case = load_case(options.case, overrides=dict(parse_override(text) for text in options.overrides))
-    with progress(options.quiet) as bar:
-        found = study_stability(
+    with show_progress(options.quiet) as bar:
+        result = study_stability(
             case,
             options.out,
             slices=options.slices,
@@ -156,30 +178,30 @@ def _stability(options: argparse.Namespace) -> int:
             scheduler=options.scheduler,
             on_point=lambda _, done, total: bar.show_reading(case.name, done, total),
         )
-    print(*found.list_sentences(), sep="\n")
+    print(*result.list_sentences(), sep="\n")
     if not options.quiet:
-        print(*(f"  {path}" for path in found.files), sep="\n")
+        print(*(f"  {path}" for path in result.files), sep="\n")
     return 0
 
 
-def _scaling_arguments(parser: argparse.ArgumentParser) -> None:
+def _add_scaling_options(parser: argparse.ArgumentParser) -> None:
+    from pipeline.studies.scaling.step_cost import METHODS
+    from pipeline.studies.scaling.study import study_scaling
+
     parser.add_argument("cases", metavar="CASE", type=Path, nargs="+", help="case files")
     parser.add_argument("--cells", metavar="NXxNYxNZ", nargs="+", default=[],
                         help="boxes to try, such as 2x8x2 8x26x8; without them the case's own mesh")  # fmt: skip
     parser.add_argument("--method", dest="methods", metavar="NAME", action="append", default=[],
-                        help="only this; may be repeated: linear, one_solve, gram_schmidt, auto, converged, "
-                             "explicit")  # fmt: skip
-    parser.add_argument("--rtol", type=float, default=1e-6, metavar="R",
-                        help="relative residual of the linear systems (1e-6)")  # fmt: skip
+                        help=f"only this method; may be repeated: {', '.join(METHODS)}")  # fmt: skip
+    parser.add_argument("--rtol", type=float, default=find_default(study_scaling, "rtol"), metavar="R",
+                        help="relative residual of the linear systems (%(default)s)")  # fmt: skip
 
 
 def _scaling(options: argparse.Namespace) -> int:
     from pipeline.studies.scaling.study import parse_cells, study_scaling
 
-    if options.scheduler:
-        raise CaseError("--scheduler: costs are measured on this machine, one process after the other; leave it out")
-    with progress(options.quiet) as bar:
-        found = study_scaling(
+    with show_progress(options.quiet) as bar:
+        result = study_scaling(
             [load_case(path) for path in options.cases],
             options.out,
             cells=[parse_cells(text) for text in options.cells],
@@ -187,14 +209,14 @@ def _scaling(options: argparse.Namespace) -> int:
             rtol=options.rtol,
             on_point=lambda done, total: bar.show_reading("scaling", done, total),
         )
-    print(
-        *found.format_lines(), f"bandwidth {found.bandwidth:.1f} GB/s", *(f"  {path}" for path in found.files), sep="\n"
-    )
+    print(*result.format_lines(), sep="\n")
+    if not options.quiet:
+        print(f"bandwidth {result.bandwidth:.1f} GB/s", *(f"  {path}" for path in result.files), sep="\n")
     return 0
 
 
 STUDIES: Mapping[str, Study] = {
-    "scaling": Study("how the cost of a step grows with the mesh, method by method", _scaling_arguments, _scaling),
-    "stability": Study("what breaks at the extremes, method by method", _stability_arguments, _stability),
-    "tradeoff": Study("which setting is enough: work against precision", _tradeoff_arguments, _tradeoff),
+    "scaling": Study("measure how the cost of a step grows with the mesh", _add_scaling_options, _scaling),
+    "stability": Study("find the extremes at which each method breaks", _add_stability_options, _stability),
+    "tradeoff": Study("find the cheapest setting that is accurate enough", _add_tradeoff_options, _tradeoff),
 }

@@ -48,14 +48,14 @@ class Bars:
         if self._display is None:
             return
         if name not in self._tasks:
-            self._display.start()  # not before there is something to show: an error is one line
+            self._display.start()  # only now, so that an error before it is one line
             self._tasks[name] = self._display.add_task(name, total=total, text=text)
         self._display.update(self._tasks[name], completed=done, total=total, text=text)
 
 
 @contextmanager
-def progress(quiet: bool) -> Iterator[Bars]:
-    """Yield the progress display, on standard error."""
+def show_progress(quiet: bool) -> Iterator[Bars]:
+    """Yield progress bars on standard error; none are shown if `quiet`."""
     if quiet:
         yield Bars(None)
         return
@@ -73,5 +73,5 @@ def progress(quiet: bool) -> Iterator[Bars]:
     try:
         yield Bars(display)
     finally:
-        if display.tasks:  # stopping what never started prints an empty line
+        if display.tasks:  # stopping a display that never started prints an empty line
             display.stop()

@@ -183,7 +183,7 @@ def test_an_old_movie_does_not_outlive_an_interruption(out, tmp_path, monkeypatc
     def stopped(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(campaign, "compare", stopped)
+    monkeypatch.setattr(campaign, "compare_variants", stopped)
     with pytest.raises(KeyboardInterrupt):
         run_case(load_case(write_case(tmp_path, movie={"fps": 10})), out)
     assert not movie.exists()

@@ -39,7 +39,7 @@ def test_every_method_has_a_row_with_its_numbers(cases_folder, tmp_path, capsys)
     ratio = ms["converged"] / newton["converged"] / ms["one_solve"]
     assert newton["one_solve"] == 1 <= newton["converged"]
     assert lines[1 + len(METHODS)] == f"converged, 18 tets: an iteration costs {ratio:.1f} x one solve"
-    assert "bandwidth" in lines[2 + len(METHODS)]
+    assert len(lines) == 2 + len(METHODS)
 
 
 def test_a_point_names_its_linear_solver(cases_folder) -> None:
@@ -86,7 +86,6 @@ def test_wrong_input_and_no_measured_point_are_errors(cases_folder, tmp_path) ->
         study_scaling([load_case(cases_folder / "bar.toml")], tmp_path, methods=["quick"])
     arguments = ["study", "scaling", str(cases_folder / "bar.toml"), "--out", str(tmp_path), "--method", "linear"]
     assert main([*arguments, "--cells", "2by8"]) == 2
-    assert main([*arguments, "--scheduler", "tcp://127.0.0.1:1"]) == 2
     assert main([*arguments, "--cells", "0x1x1"]) == 4
 
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import wraps
 from types import SimpleNamespace
 
 import numpy as np
@@ -456,8 +457,8 @@ def test_the_command_prints_the_sentence_and_writes_the_variant(tmp_path, capsys
         (["--refine", "2", "3"], "--refine 2 does not divide the largest, 3"),
         (["--set", "method.stepper=rk4"], "rk4"),
         (["--scheduler", "tcp://127.0.0.1:1"], "scheduler"),
-        (["--apply", "--set", "schedule.dt=0.01"], "that of another case"),
-        (["--apply", "--steps", "2"], "that of the beginning"),
+        (["--apply", "--set", "schedule.dt=0.01"], "for another case"),
+        (["--apply", "--steps", "2"], "for the beginning"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(tmp_path, capsys, arguments, message):
@@ -476,12 +477,13 @@ def test_two_cases_of_one_name_are_refused(tmp_path, capsys):
 def test_a_case_without_a_reference_does_not_stop_the_others(tmp_path, capsys, monkeypatch):
     from pipeline.studies.tradeoff import study as module
 
-    def one(plan, folder, **keywords):
+    @wraps(module.study_tradeoff)
+    def fail_if_bad(plan, folder, **keywords):
         if plan.case.name == "bad":
             raise SolveError("no reference")
         return module.Tradeoff(folder, {}, "good: use this", (), ())
 
-    monkeypatch.setattr(module, "study_tradeoff", one)
+    monkeypatch.setattr(module, "study_tradeoff", fail_if_bad)
     paths = [tmp_path / "bad.toml", tmp_path / "good.toml"]
     for path in paths:
         path.write_text(tomli_w.dumps(case_document(name=path.stem)))
@@ -490,13 +492,14 @@ def test_a_case_without_a_reference_does_not_stop_the_others(tmp_path, capsys, m
     assert said.out.startswith("good: use this") and said.err == "SolveError: no reference\n"
 
 
-def test_an_interrupted_study_says_what_stands(tmp_path, capsys, monkeypatch):
-    def interrupted(*given, **keywords):
+def test_an_interrupted_study_says_how_to_continue(tmp_path, capsys, monkeypatch):
+    @wraps(study_tradeoff)
+    def interrupt(*arguments, **keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pipeline.studies.tradeoff.study.study_tradeoff", interrupted)
+    monkeypatch.setattr("pipeline.studies.tradeoff.study.study_tradeoff", interrupt)
     assert main(["study", "tradeoff", str(write_case(tmp_path)), "--quiet", "--out", str(tmp_path / "o")]) == 130
-    assert capsys.readouterr().err == "interrupted; the points done so far stand, the same command goes on\n"
+    assert capsys.readouterr().err == "interrupted; the same command continues from the points that are done\n"
 
 
 def test_a_missing_case_and_an_unknown_study_are_told(tmp_path, capsys):

@@ -117,7 +117,7 @@ class Plan:
 def make_plan(
     case: Case,
     *,
-    tolerance: float,
+    tolerance: float = 0.01,
     dts: Sequence[float] = (),
     refinements: Sequence[int] = (),
     steps: int | None = None,
