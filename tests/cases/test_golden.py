@@ -1,8 +1,8 @@
-"""Golden scalars of every variant of every case, over its first frames: they guard numbers against accidental change.
+"""Golden scalars of every variant of every case, over its first frames: they guard against unintended change.
 
-They are this program's own, no truth: what is right is held by closed forms, laws and published numbers elsewhere.
+They are this program's own and prove nothing: other tests compare with closed forms, laws and published numbers.
     python -m tests.cases.test_golden --write [CASE ...]
-makes them anew, of all cases or of those named; look at the diff.
+writes them again, for all cases or those named; look at the diff.
 """
 
 import argparse
@@ -29,51 +29,51 @@ RTOL = 1e-6
 VARIANTS = [(case, name) for case, path in CASES.items() for name in load_case(path).variant_names]
 
 
-def scalars(case: str, variant: str) -> dict[str, float]:
+def compute_scalars(case: str, variant: str) -> dict[str, float]:
     """Return the numbers of a variant over its first frames.
 
-    worst_volume_ratio: of all cells and frames the one furthest from 1. At the last frame: total_volume [m3] and
-    kinetic plus elastic energy [J], which cannot cancel as a total with the loads' potential does.
+    smallest and largest volume ratio of all cells and frames; at the last frame total_volume [m3] and kinetic plus
+    elastic energy [J], which cannot cancel as a total with the loads' potential does.
     """
     resolved = load_case(CASES[case])
     count = min(FRAMES, resolved.schedule.frames)
     problem = build(load_case(CASES[case], overrides={"schedule.frames": count}).variant(variant))
-    worst = 1.0
+    smallest = largest = 1.0
     for frame in frames(problem):
         ratio = measure(frame)["volume_ratio"]
-        furthest = float(ratio[np.abs(ratio - 1).argmax()])
-        worst = furthest if abs(furthest - 1) > abs(worst - 1) else worst
+        smallest, largest = min(smallest, float(ratio.min())), max(largest, float(ratio.max()))
     last = measure(frame)
     return {
-        "worst_volume_ratio": worst,
+        "smallest_volume_ratio": smallest,
+        "largest_volume_ratio": largest,
         "total_volume": float(last["total_volume"]),
         "energy": float(last["kinetic_energy"] + last["elastic_energy"]),
     }
 
 
-def golden() -> dict[str, dict[str, dict[str, float]]]:
+def read_golden() -> dict[str, dict[str, dict[str, float]]]:
     return tomllib.loads(FILE.read_text(encoding="utf-8"))["case"] if FILE.exists() else {}
 
 
 @pytest.mark.parametrize(("case", "variant"), VARIANTS)
 def test_a_variant_has_its_golden_scalars(case, variant):
-    wanted = golden().get(case, {}).get(variant)
-    if wanted is None:
+    expected = read_golden().get(case, {}).get(variant)
+    if expected is None:
         pytest.fail(f"{case}/{variant} has no golden scalars; make them with: {COMMAND} {case}", pytrace=False)
-    assert scalars(case, variant) == pytest.approx(wanted, rel=RTOL), f"if this is meant: {COMMAND} {case}"
+    assert compute_scalars(case, variant) == pytest.approx(expected, rel=RTOL), f"if intended: {COMMAND} {case}"
 
 
 def test_every_golden_scalar_belongs_to_a_variant():
-    kept = {(case, variant) for case, variants in golden().items() for variant in variants}
-    assert kept - set(VARIANTS) == set(), f"make them anew with: {COMMAND}"
+    stored = {(case, variant) for case, variants in read_golden().items() for variant in variants}
+    assert stored - set(VARIANTS) == set(), f"write them again with: {COMMAND}"
 
 
-def write(cases: list[str]) -> None:
-    """Write the scalars of these cases anew; the others that still exist stay as they are."""
-    table = {case: values for case, values in golden().items() if case in CASES and case not in cases}
+def write_golden(cases: list[str]) -> None:
+    """Write the scalars of these cases; those of other cases that still exist stay."""
+    table = {case: values for case, values in read_golden().items() if case in CASES and case not in cases}
     for case, variant in VARIANTS:
         if case in cases:
-            table.setdefault(case, {})[variant] = scalars(case, variant)
+            table.setdefault(case, {})[variant] = compute_scalars(case, variant)
             print(case, variant, table[case][variant])
     origin = {
         "command": COMMAND,
@@ -87,4 +87,4 @@ def write(cases: list[str]) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Golden scalars of the cases.")
     parser.add_argument("--write", nargs="*", metavar="CASE", choices=[*CASES, []], required=True)
-    write(parser.parse_args().write or list(CASES))
+    write_golden(parser.parse_args().write or list(CASES))
