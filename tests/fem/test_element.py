@@ -11,7 +11,7 @@ from pipeline.fem.modes import lowest_frequencies
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
 from pipeline.mesh.surface import boundary_faces
-from tests.bodies import BOXES, MATERIAL, METHODS, clamped_bar, rotation_matrix, solid, thesis_bar
+from tests.bodies import BOXES, MATERIAL, METHODS, clamped_bar, solid, thesis_bar, turn
 
 E = MATERIAL.youngs_modulus
 RNG = np.random.default_rng(1)
@@ -22,7 +22,7 @@ METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 def deformed(mesh: Mesh, amount: float = 0.1) -> np.ndarray:
     """A large turn with a random deformation on top."""
     X = mesh.points + amount * RNG.standard_normal(mesh.points.shape)
-    return X @ rotation_matrix(mesh.dimension, [1, -2, 0.5], 2.0).T + 1.0
+    return X @ turn(mesh.dimension, [1, -2, 0.5], 2.0).T + 1.0
 
 
 @MESHES
@@ -36,7 +36,7 @@ def test_an_affine_map_has_its_own_gradient(mesh):
 @MESHES
 def test_a_free_body_has_as_many_zero_eigenvalues_as_rigid_motions(mesh, method):
     body = solid(mesh, **method)
-    _, K = body.linearize(mesh.points @ rotation_matrix(mesh.dimension, [1, 2, 3], 1.0).T)  # also where it has turned
+    _, K = body.linearize(mesh.points @ turn(mesh.dimension, [1, 2, 3], 1.0).T)  # also where it has turned
     K = body.pattern.matrix(K).toarray()
     values = np.linalg.eigvalsh(K)
     rigid = {2: 3, 3: 6}[mesh.dimension]
@@ -63,7 +63,7 @@ def test_patch_test(plain, method):
 def test_a_quarter_turn_costs_force_in_the_linear_law_only(method, axis):
     mesh = thesis_bar()
     h2 = 1.5**2  # the cells are 2 x 1.5 x 2 m
-    f = np.abs(solid(mesh, **method).force(mesh.points @ rotation_matrix(3, axis, np.pi / 2).T + 5.0)).max() / (E * h2)
+    f = np.abs(solid(mesh, **method).force(mesh.points @ turn(3, axis, np.pi / 2).T + 5.0)).max() / (E * h2)
     if method["law"] == "linear":
         assert 2.9 < f < 4.0  # measured: 2.91 to 3.93 by axis
     else:
@@ -73,7 +73,7 @@ def test_a_quarter_turn_costs_force_in_the_linear_law_only(method, axis):
 @METHOD
 @MESHES
 def test_forces_turn_with_the_body_unless_linear(mesh, method):
-    x, Q = deformed(mesh), rotation_matrix(mesh.dimension, [0.3, -0.5, 0.8], 2.5)
+    x, Q = deformed(mesh), turn(mesh.dimension, [0.3, -0.5, 0.8], 2.5)
     body = solid(mesh, **method)
     spread = np.abs(body.force(x @ Q.T) - body.force(x) @ Q.T).max() / np.abs(body.force(x)).max()
     assert spread > 0.1 if method["law"] == "linear" else spread < 1e-12

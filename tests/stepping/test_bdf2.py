@@ -12,7 +12,7 @@ from pipeline.mesh.shapes import box, rectangle
 from pipeline.run.frame_iterator import frames
 from pipeline.stepping.bdf2 import mode_factor
 from pipeline.stepping.state import Memory, State
-from tests.bodies import METHODS, build_variant, clamped_bar, prepare_stepper, run_motion, solid
+from tests.bodies import METHODS, built, clamped_bar, motion, solid, stepper
 
 ITERATIONS = pytest.mark.parametrize("iterations", [1, "converged"])
 
@@ -36,7 +36,7 @@ def test_a_mode_decays_and_lags_by_the_larger_root(mode, z):
     # 1e3 sqrt(kg) m: meters, so that the rest of it after some steps is far above the rounding of X
     w = [1e3 * omega * (1 + 3j), 1e3 * omega * (1 + 3j) * G]
     (x_before, v_before), (x, v) = ((X + one.real / omega * shape, one.imag * shape) for one in w)
-    prepared = prepare_stepper(body, z / omega, stepper="bdf2")
+    prepared = stepper(body, z / omega, stepper="bdf2")
     state = State(1, x, v, Memory({"x_before": x_before, "v_before": v_before}))
     for _ in range(5):
         state, _ = prepared.step(state)
@@ -58,7 +58,7 @@ def test_the_first_step_is_backward_eulers(method, iterations):
     body = clamped_bar(**METHODS[method])
     v = np.where(body.free_mask[:, None], [0.0, 0.0, -40.0], 0.0)
     one, other = (
-        run_motion(body, 0.07, 1, v, stepper=name, iterations=iterations)[-1] for name in ("bdf2", "backward_euler")
+        motion(body, 0.07, 1, v, stepper=name, iterations=iterations)[-1] for name in ("bdf2", "backward_euler")
     )
     assert np.array_equal(one.x, other.x) and np.array_equal(one.v, other.v)
 
@@ -77,7 +77,7 @@ def make_swinging_beam(d: int) -> tuple:
 def end(d: int, name: str, iterations: object, n: int) -> np.ndarray:
     """The beam's positions after a radian of its phase in n steps."""
     body, omega, v = make_swinging_beam(d)
-    return run_motion(body, 1 / omega / n, n, v, stepper=name, iterations=iterations)[-1].x
+    return motion(body, 1 / omega / n, n, v, stepper=name, iterations=iterations)[-1].x
 
 
 @cache
@@ -110,7 +110,7 @@ def test_free_fall_is_exact_but_for_its_first_step(iterations):
     g = np.array([0.0, 0.0, -9.81])
     body = solid(mesh, load=1000.0 * mesh.node_volumes[:, None] * g, **METHODS["polar"])
     v0 = np.array([1.0, -2.0, 3.0])
-    for s in run_motion(body, dt, 20, np.tile(v0, (len(mesh.points), 1)), stepper="bdf2", iterations=iterations):
+    for s in motion(body, dt, 20, np.tile(v0, (len(mesh.points), 1)), stepper="bdf2", iterations=iterations):
         t = s.step * dt
         begun = 0.75 * (1 - (1 / 3) ** s.step) * dt**2
         assert s.x - mesh.points == pytest.approx(np.tile(v0 * t + g * (t**2 / 2 + begun), (len(s.x), 1)), abs=1e-11)
@@ -122,7 +122,7 @@ def test_free_fall_is_exact_but_for_its_first_step(iterations):
 def test_held_nodes_stay_and_moved_ones_follow_their_motion_to_the_bit(tmp_path, variant, iterations):
     moved = {"velocity": [0.3, 0.0, 0.0], "spin": {"axis": [0.0, 1.0, 0.0], "rate": 200.0, "center": [0.5, 0.0, 0.5]}}
     supports = [{"plane": "y", "at": 3.0}, {"plane": "y", "at": 0.0, "motion": moved}]
-    one = build_variant(tmp_path, variant, supports=supports, method={"stepper": "bdf2", "iterations": iterations})
+    one = built(tmp_path, variant, supports=supports, method={"stepper": "bdf2", "iterations": iterations})
     X = one.body.mesh.points
     (nodes, moving), *others = one.body.supports.motions
     assert isinstance(moving, RigidMotion) and not others
@@ -136,7 +136,7 @@ def test_a_step_is_one_solve_and_the_linear_law_factors_twice_in_all(method):
     """Backward Euler's M + dt^2 K for the first step, M + (2 dt/3)^2 K for all others."""
     body = clamped_bar(**METHODS[method])
     prepared, state, work = (
-        prepare_stepper(body, 0.07, stepper="bdf2"),
+        stepper(body, 0.07, stepper="bdf2"),
         State(0, body.mesh.points, 0 * body.mesh.points),
         Work(),
     )

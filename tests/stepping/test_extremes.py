@@ -29,7 +29,7 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.problem.methods import IMPLICIT_STEPPERS
 from pipeline.stepping.state import State
 from pipeline.studies.stability.perturbations import move_apexes
-from tests.bodies import METHODS, clamped_bar, run_motion, solid, spin_velocity
+from tests.bodies import METHODS, clamped_bar, motion, solid, spin
 from tests.stepping.test_inversion import collapse_bar, scramble_bar
 
 # law and rotation of the body, and what the stepper is told
@@ -63,7 +63,7 @@ def throw(body: Body, speed: float) -> np.ndarray:
 
 
 def run_steps(body: Body, way: str, time_stepper: str, dt: float, steps: int, v: np.ndarray, x=None) -> State:
-    states = run_motion(body, dt, steps, v, x, **WAYS[way][1], stepper=time_stepper)
+    states = motion(body, dt, steps, v, x, **WAYS[way][1], stepper=time_stepper)
     assert all(np.isfinite(s.x).all() and np.isfinite(s.v).all() for s in states)
     return states[-1]
 
@@ -110,7 +110,7 @@ def test_every_step_from_a_microsecond_to_ten_seconds_keeps_within_the_initial_e
     body = beam(way)
     v = throw(body, 20.0)
     start = 0.5 * (v * body.momentum(v)).sum()
-    for s in run_motion(body, dt, 20, v, **WAYS[way][1], stepper=time_stepper):
+    for s in motion(body, dt, 20, v, **WAYS[way][1], stepper=time_stepper):
         fallen = np.abs((body.load * (s.x - body.mesh.points)).sum())
         assert 0.5 * (s.v * body.momentum(s.v)).sum() + body.energy(s.x) < (1 + 1e-9) * (start + fallen)
 
@@ -243,12 +243,12 @@ def test_one_cell_alone_falls_and_hung_up_it_sags(way, time_stepper, d, solver):
     told = WAYS[way][1] | {"linear_solver": solver, "stepper": time_stepper}
     load, material = body_force(mesh, 1000.0 * GRAVITY[-d:]), Material(1e7, 0.3, 1000.0)
     free = solid(mesh, load=load, material=material, **WAYS[way][0])
-    last = run_motion(free, 0.05, 10, 0 * mesh.points, **told)[-1]
+    last = motion(free, 0.05, 10, 0 * mesh.points, **told)[-1]
     wanted = fall(d, 0.05, 10, time_stepper)
     assert np.abs(last.x - mesh.points - wanted).max() < 0.02 * np.abs(wanted).max()
     assert np.abs(ratios(free, last) - 1).max() < 1e-6
     hung = solid(mesh, held=range(d), load=load, material=material, **WAYS[way][0])
-    last = run_motion(hung, 1.0, 15, 0 * mesh.points, **told)[-1]
+    last = motion(hung, 1.0, 15, 0 * mesh.points, **told)[-1]
     assert np.abs((hung.force(last.x) + hung.load)[hung.free]).max() < 1e-4 * np.abs(load).max()
 
 
@@ -262,7 +262,7 @@ def test_of_two_components_the_free_one_falls_and_the_held_one_is_unaffected(way
     material, ends = Material(1e7, 0.3, 1000.0), []
     for m in (mesh, one):
         body = solid(m, held=held, load=body_force(m, 1000.0 * GRAVITY), material=material, **WAYS[way][0])
-        ends.append(run_motion(body, 0.05, 10, 0 * m.points, **told)[-1].x)
+        ends.append(motion(body, 0.05, 10, 0 * m.points, **told)[-1].x)
     both, alone = ends
     wanted = fall(3, 0.05, 10, time_stepper)
     assert np.abs(both[n:] - mesh.points[n:] - wanted).max() < 0.02 * np.abs(wanted).max()
@@ -281,7 +281,7 @@ def test_a_first_step_of_up_to_50_rad_swells_as_its_method_predicts(time_stepper
     mesh = box((4.0, 12.0, 4.0), (2, 8, 2)) if d == 3 else rectangle((4.0, 12.0), (2, 8))
     for way in ("linear", "polar", "gram_schmidt", "auto", "converged"):
         body = solid(mesh, **WAYS[way][0])
-        v = spin_velocity(body, np.array([0.0, 0.0, 10.0]))
+        v = spin(body, np.array([0.0, 0.0, 10.0]))
         last = run_steps(body, way, time_stepper, angle / 10.0, 1, v)
         J = ratios(body, last)
         if way in ("auto", "converged"):
@@ -295,9 +295,9 @@ def test_a_first_step_of_up_to_50_rad_swells_as_its_method_predicts(time_stepper
 def test_the_long_bar_that_blows_up_with_one_solve_survives_converged(dt):
     """One solve is stopped by the guard in step 22 to 80 (test_guard)."""
     body = solid(box((2.0, 24.0, 4.0), (2, 8, 2)), **METHODS["polar"])
-    v = spin_velocity(body, np.array([0.0, 0.0, 10.0]))
+    v = spin(body, np.array([0.0, 0.0, 10.0]))
     start = 0.5 * (v * body.momentum(v)).sum()
-    for s in run_motion(body, dt, 40, v, iterations="converged"):
+    for s in motion(body, dt, 40, v, iterations="converged"):
         assert 0.5 * (s.v * body.momentum(s.v)).sum() + body.energy(s.x) <= start * (1 + 1e-9)
         assert (
             np.abs(ratios(body, s) - 1).max() < 0.005

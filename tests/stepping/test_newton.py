@@ -19,16 +19,7 @@ from pipeline.stepping.newton import Converged
 from pipeline.stepping.report import StepReport
 from pipeline.stepping.stage import Stage
 from pipeline.stepping.state import State
-from tests.bodies import (
-    BOXES,
-    METHODS,
-    build_variant,
-    prepare_stepper,
-    rotation_matrix,
-    run_motion,
-    solid,
-    spin_velocity,
-)
+from tests.bodies import BOXES, METHODS, built, motion, solid, spin, stepper, turn
 
 RNG = np.random.default_rng(8)
 SOFT = Material(1e7, 0.3, 1000.0)
@@ -69,7 +60,7 @@ def total_energy(body: Body, state: State) -> float:
 @pytest.mark.parametrize("mesh", BOXES.values(), ids=BOXES)
 def test_the_exact_stiffness_is_the_derivative_of_the_forces_wherever_the_body_is(mesh, stretches):
     d = mesh.dimension
-    F = rotation_matrix(d, [1, -2, 0.5], 2.0) @ np.diag([*stretches[: d - 1], stretches[2]])
+    F = turn(d, [1, -2, 0.5], 2.0) @ np.diag([*stretches[: d - 1], stretches[2]])
     x = mesh.points @ F.T + 0.02 * RNG.standard_normal(mesh.points.shape)
     body = solid(mesh, **METHODS["polar"])
     assert (np.sign(np.linalg.det(deformation_gradient(mesh, x))) == np.sign(stretches[2])).all()
@@ -134,7 +125,7 @@ def test_the_potential_never_increases(d, speed, tangent):
 def test_a_step_of_backward_euler_ends_below_the_energy_before_it(d, speed):
     """U_{n+1} + |v_{n+1} - v_n|_M^2 / 2 <= E_n, with the dead load's potential in U."""
     body, start = throw_beam(d, speed)
-    states = run_motion(body, DT, 15, start.v, iterations="converged")
+    states = motion(body, DT, 15, start.v, iterations="converged")
     for a, b in pairwise(states):
         change = b.v - a.v
         U = total_energy(body, State(0, b.x, 0 * b.v))
@@ -149,7 +140,7 @@ def test_a_step_from_inverted_cells_is_bounded_by_the_energy_before_it_too(d, ki
     x = X * ([-0.7] + [1.0] * (int(d[0]) - 1)) if kind == "upside_down" else X + RNG.uniform(-1, 1, X.shape)
     start = State(0, np.where(n, x, X), start.v)
     assert (np.linalg.det(deformation_gradient(body.mesh, start.x)) < 0).any()
-    end, _ = prepare_stepper(body, DT, iterations="converged").step(start)
+    end, _ = stepper(body, DT, iterations="converged").step(start)
     change = end.v - start.v
     U = total_energy(body, State(0, end.x, 0 * end.v))
     assert U + (change * body.momentum(change)).sum() / 2 <= total_energy(body, start) * (1 + 1e-12)
@@ -174,18 +165,18 @@ def test_the_iteration_stops_at_the_first_residual_below_the_tolerance(d, tolera
 @BEAM
 def test_every_iteration_is_one_factor_and_one_solve_and_a_body_at_rest_needs_none(d):
     body, state = throw_beam(d)
-    _, report = prepare_stepper(body, DT, iterations="converged").step(state)
+    _, report = stepper(body, DT, iterations="converged").step(state)
     work, n = report.work, report.work.iterations
     assert 2 <= n <= 15
     assert (work.steps, work.solves, work.factorizations) == (1, n, n)
     free = solid(body.mesh, **METHODS["polar"])
-    resting, report = prepare_stepper(free, DT, iterations="converged").step(State(0, body.mesh.points, 0 * state.v))
+    resting, report = stepper(free, DT, iterations="converged").step(State(0, body.mesh.points, 0 * state.v))
     assert report == StepReport(Work(steps=1)) and np.array_equal(resting.x, body.mesh.points)
 
 
 def test_the_iteration_cap_is_an_error_that_names_number_residual_step_and_time(tmp_path):
     method = {"iterations": "converged", "max_iterations": 2, "tolerance": 1e-12}
-    violent = build_variant(tmp_path, method=method, initial={"velocity": [0.0, 0.0, -20.0]})
+    violent = built(tmp_path, method=method, initial={"velocity": [0.0, 0.0, -20.0]})
     said = r"^Newton did not reach 1e-12 in 2 iterations \(residual [\d.e-]+\); .* \(at step 1, t = 0\.02 s\)$"
     with pytest.raises(SolveError, match=said) as caught:
         list(frames(violent))
@@ -194,18 +185,12 @@ def test_the_iteration_cap_is_an_error_that_names_number_residual_step_and_time(
 
 def test_a_rotation_without_a_potential_cannot_be_converged(tmp_path):
     with pytest.raises(CaseError, match=r"method\.iterations: 'converged' needs a potential.*gram_schmidt.*polar"):
-        build_variant(tmp_path, "gram_schmidt", method={"iterations": "converged"})
+        built(tmp_path, "gram_schmidt", method={"iterations": "converged"})
 
 
 def test_a_linear_body_is_converged_after_its_one_solve(tmp_path):
     method = {"iterations": "converged"}
-    assert [f.known["newton_iterations"] for f in frames(build_variant(tmp_path, "linear", method=method))] == [
-        0,
-        1,
-        1,
-        1,
-        1,
-    ]
+    assert [f.known["newton_iterations"] for f in frames(built(tmp_path, "linear", method=method))] == [0, 1, 1, 1, 1]
 
 
 # measured: principal axes take 2 to 4 iterations from the predictor (49 to 83 from x_n). Else the body tumbles: the
@@ -216,8 +201,8 @@ def test_a_linear_body_is_converged_after_its_one_solve(tmp_path):
 @pytest.mark.parametrize("split", ["kuhn", "alternating"])
 def test_a_spin_of_50_rad_a_step_converges_and_keeps_the_volume(split, axis, iterations):
     body = solid(box((4.0, 12.0, 4.0), (2, 8, 2), split), **METHODS["polar"])
-    v = spin_velocity(body, 10.0 * np.array(axis) / np.linalg.norm(axis))
-    prepared, state = prepare_stepper(body, 5.0, iterations="converged"), State(0, body.mesh.points, v)
+    v = spin(body, 10.0 * np.array(axis) / np.linalg.norm(axis))
+    prepared, state = stepper(body, 5.0, iterations="converged"), State(0, body.mesh.points, v)
     for _ in range(4):
         state, report = prepared.step(state)
         J = np.linalg.det(deformation_gradient(body.mesh, state.x))
@@ -232,7 +217,7 @@ def test_near_rest_good_steps_are_not_halved_for_rounding_of_the_energy(d, seed)
     mesh = box((4.0, 12.0, 4.0), (2, 8, 2)) if d == 3 else rectangle((4.0, 12.0), (2, 8))
     body = solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), **METHODS["polar"])
     away = np.random.default_rng(seed).uniform(-0.4, 0.4, mesh.points.shape)
-    prepared = prepare_stepper(body, 0.07, iterations="converged")
+    prepared = stepper(body, 0.07, iterations="converged")
     state = State(0, mesh.points + np.where(body.free_mask[:, None], away, 0.0), 0 * away)
     for _ in range(60):
         state, report = prepared.step(state)
@@ -248,4 +233,4 @@ def test_a_descent_that_finds_no_lower_energy_says_so(monkeypatch):
     monkeypatch.setattr(Converged, "_search", lambda self, terms, slope, stage: None)
     said = r"^Newton did not reach 1e-09 in 1 iterations \(residual .*\); no step lowers the energy .* a stiffer body$"
     with pytest.raises(SolveError, match=said):
-        prepare_stepper(body, DT, iterations="converged").step(state)
+        stepper(body, DT, iterations="converged").step(state)

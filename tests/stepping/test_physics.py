@@ -7,7 +7,7 @@ from pipeline.fem.loads import body_force
 from pipeline.fem.material import Material
 from pipeline.mesh.shapes import box
 from pipeline.mesh.simplex import Mesh
-from tests.bodies import BOXES, METHODS, run_motion, solid, spin_velocity, thesis_bar
+from tests.bodies import BOXES, METHODS, motion, solid, spin, thesis_bar
 
 ORDERS = {"xyz": [0, 1, 2], "yzx": [1, 2, 0], "zxy": [2, 0, 1]}
 
@@ -20,7 +20,7 @@ def tip_deflection(order: list[int], method: dict[str, str]) -> float:
     load = body_force(mesh, 1000.0 * np.array([0.0, 0.0, -9.81])[order])
     body = solid(mesh, held=held, load=load, material=Material(1e7, 0.33, 1000.0), **method)
     v = np.where(body.free_mask[:, None], np.array([0.0, 0.0, -40.0])[order], 0.0)
-    end = run_motion(body, 0.07, 30, v)[-1]
+    end = motion(body, 0.07, 30, v)[-1]
     return float(np.abs((end.x - mesh.points)[tip, order.index(2)]).mean())
 
 
@@ -65,8 +65,8 @@ def test_gram_schmidt_forces_turn_a_stretched_bar_by_themselves():
 def test_linear_forces_keep_the_angular_momentum_about_the_rest_shape_and_not_the_true_one(mesh):
     """Sum of X x M v is conserved, since K does not change under a small rotation; the sum of x x M v is not."""
     body = solid(mesh)
-    v = spin_velocity(body, np.array([0.0, 0.0, 5.0])) + 5 * np.random.default_rng(5).standard_normal(mesh.points.shape)
-    states = run_motion(body, 0.02, 20, v)
+    v = spin(body, np.array([0.0, 0.0, 5.0])) + 5 * np.random.default_rng(5).standard_normal(mesh.points.shape)
+    states = motion(body, 0.02, 20, v)
     about = {"rest": [], "true": []}
     for s in states:
         p = body.momentum(s.v)
@@ -82,7 +82,7 @@ def test_one_solve_keeps_angular_momentum_only_roughly(name):
     """Its forces belong to no position; measured: a few percent in 20 steps of 1/20 rad."""
     mesh = thesis_bar()
     body = solid(mesh, **METHODS[name])
-    states = run_motion(body, 0.05, 20, spin_velocity(body, np.array([0.0, 0.0, 1.0])))
+    states = motion(body, 0.05, 20, spin(body, np.array([0.0, 0.0, 1.0])))
     L = np.array([np.cross(s.x, body.momentum(s.v)).sum(axis=0) for s in states])
     kept = L[-1, 2] / L[0, 2]
     assert kept == pytest.approx(1.0, abs=0.1) and abs(kept - 1) > 1e-8

@@ -18,17 +18,7 @@ from pipeline.problem.methods import STEP_LIMITS
 from pipeline.run.frame_iterator import frames
 from pipeline.stepping.state import State
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
-from tests.bodies import (
-    METHODS,
-    PLANAR,
-    build_variant,
-    clamped_bar,
-    prepare_stepper,
-    run_motion,
-    solid,
-    spin_velocity,
-    thesis_bar,
-)
+from tests.bodies import METHODS, PLANAR, built, clamped_bar, motion, solid, spin, stepper, thesis_bar
 
 RNG = np.random.default_rng(12)
 EXPLICIT = {"stepper": "symplectic_euler"}
@@ -133,15 +123,15 @@ def test_a_step_above_the_limit_is_refused_with_both_limits(tmp_path):
         "supports": [{"plane": "y", "at": 12.0}],
     }
     bar["material"] = {"youngs_modulus": 1e8, "poisson_ratio": 0.33, "density": 1000.0}
-    build_variant(tmp_path, method=EXPLICIT, schedule={"dt": 2.89e-3, "frames": 1}, **bar)
+    built(tmp_path, method=EXPLICIT, schedule={"dt": 2.89e-3, "frames": 1}, **bar)
     said = r"schedule\.dt: 0\.0029 is above the limit of symplectic_euler: 0\.002895 s for this body, 0\.002171 s by"
     with pytest.raises(CaseError, match=said):
-        build_variant(tmp_path, method=EXPLICIT, schedule={"dt": 2.9e-3, "frames": 1}, **bar)
+        built(tmp_path, method=EXPLICIT, schedule={"dt": 2.9e-3, "frames": 1}, **bar)
 
 
 @pytest.mark.parametrize("sections", [{}, PLANAR], ids=["3D", "2D"])
 def test_the_limit_itself_is_computed_only_above_the_bound_over_cells(tmp_path, monkeypatch, sections):
-    body = build_variant(tmp_path, **sections).body
+    body = built(tmp_path, **sections).body
     below, above = element_limit(body), true_limit(body)
     assert below < 0.95 * above
     calls = []
@@ -151,25 +141,25 @@ def test_the_limit_itself_is_computed_only_above_the_bound_over_cells(tmp_path, 
         return true_limit(body)
 
     monkeypatch.setitem(STEP_LIMITS, "symplectic_euler", (element_limit, count_call))  # type: ignore[arg-type]  # Mapping to the reader
-    build_variant(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * below, "frames": 1}, **sections)
+    built(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * below, "frames": 1}, **sections)
     assert not calls
-    build_variant(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * above, "frames": 1}, **sections)
+    built(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * above, "frames": 1}, **sections)
     assert len(calls) == 1
 
 
 def test_a_written_consistent_mass_is_refused_and_an_inherited_one_lumped_with_a_note(tmp_path):
     schedule = {"dt": 1e-4, "frames": 1}
     with pytest.raises(CaseError, match=r"method\.mass: symplectic_euler needs 'lumped'"):
-        build_variant(tmp_path, method=EXPLICIT | {"mass": "consistent"}, schedule=schedule)
+        built(tmp_path, method=EXPLICIT | {"mass": "consistent"}, schedule=schedule)
     with pytest.raises(CaseError, match="symplectic_euler needs 'lumped'"):
         variants = {"polar": {"method.stepper": "symplectic_euler", "method.mass": "consistent"}}
-        build_variant(tmp_path, variants=variants, schedule=schedule)
+        built(tmp_path, variants=variants, schedule=schedule)
     variants = {"polar": {"method.stepper": "symplectic_euler"}}
     for method in (None, {"mass": "consistent"}):
-        one = build_variant(tmp_path, variants=variants, method=method, schedule=schedule)
+        one = built(tmp_path, variants=variants, method=method, schedule=schedule)
         assert one.method.mass == "lumped" and any("lumped" in note for note in one.notes)
         assert one.body.momentum(np.ones((16, 3))) == pytest.approx(one.body.lumped_mass[:, None] * np.ones((16, 3)))
-    assert not build_variant(tmp_path, method=EXPLICIT | {"mass": "lumped"}, schedule=schedule).notes
+    assert not built(tmp_path, method=EXPLICIT | {"mass": "lumped"}, schedule=schedule).notes
 
 
 @pytest.mark.parametrize("stretch", [0.0, 0.1])
@@ -177,7 +167,7 @@ def test_a_written_consistent_mass_is_refused_and_an_inherited_one_lumped_with_a
 def test_polar_keeps_the_angular_momentum_of_a_free_body_to_rounding(mesh, stretch):
     body = solid(mesh, mass="lumped", **METHODS["polar"])
     x = mesh.points * np.array([1.0, 1.0 + stretch, 1.0])[: mesh.dimension]
-    v = spin_velocity(body, np.array([1.0, 0.5, 3.0])) * np.array([1.0, 1.0 + stretch, 1.0])[: mesh.dimension]
+    v = spin(body, np.array([1.0, 0.5, 3.0])) * np.array([1.0, 1.0 + stretch, 1.0])[: mesh.dimension]
     start = angular_momentum(body, State(0, x, v))
     run = iterate_states(body, true_limit(body) / 2, x, v, 2000)
     # 2000 sums over the nodes, each rounded to 1e-16 of its terms: measured 1e-15 to 9e-15
@@ -190,7 +180,7 @@ def test_gram_schmidt_loses_the_angular_momentum_of_a_stretched_bar_but_not_of_a
     lost = {}
     for stretch in (0.0, 0.1):
         x = body.mesh.points * [1.0, 1.0 + stretch, 1.0]
-        v = spin_velocity(body, np.array([0.0, 3.0, 0.0]))
+        v = spin(body, np.array([0.0, 3.0, 0.0]))
         kept = [angular_momentum(body, s)[1] for s in iterate_states(body, true_limit(body) / 2, x, v, 2000)]
         lost[stretch] = 1 - min(kept) / angular_momentum(body, State(0, x, v))[1]
     assert lost[0.1] > 0.5 and lost[0.0] < 1e-2
@@ -255,7 +245,7 @@ def test_a_step_builds_no_matrix_and_extracts_rotations_once(matrices, d, method
 
 @pytest.mark.parametrize("sections", [{}, PLANAR], ids=["3D", "2D"])
 def test_a_whole_explicit_run_builds_no_matrix(matrices, tmp_path, sections):
-    one = build_variant(tmp_path, method=EXPLICIT, schedule={"dt": 1e-4, "frames": 3}, **sections)
+    one = built(tmp_path, method=EXPLICIT, schedule={"dt": 1e-4, "frames": 3}, **sections)
     assert one.dt < element_limit(one.body)
     list(frames(one))
     assert not matrices
@@ -266,7 +256,7 @@ def test_explicit_and_implicit_runs_converge_to_each_other():
     v = np.where(body.free_mask[:, None], [0.0, 0.0, -20.0], 0.0)
     dt = 1e-3
     *_, explicit = iterate_states(body, dt, body.mesh.points, v, 100)
-    implicit = run_motion(body, dt, 100, v, stepper="bdf2")[-1]
+    implicit = motion(body, dt, 100, v, stepper="bdf2")[-1]
     moved = np.abs(implicit.x - body.mesh.points).max()
     assert np.abs(explicit.x - implicit.x).max() < 0.01 * moved  # errors of order dt omega_1 = .01
 
@@ -275,5 +265,5 @@ def test_the_guarded_stepper_of_the_table_makes_the_same_steps():
     body = clamp_beam(3, **METHODS["polar"])
     v = np.where(body.free_mask[:, None], [0.0, 0.0, -20.0], 0.0)
     *_, bare = iterate_states(body, 1e-3, body.mesh.points, v, 20)
-    guarded = run_motion(body, 1e-3, 20, v, **EXPLICIT)[-1]
-    assert np.array_equal(bare.x, guarded.x) and prepare_stepper(body, 1e-3, **EXPLICIT).dt == 1e-3
+    guarded = motion(body, 1e-3, 20, v, **EXPLICIT)[-1]
+    assert np.array_equal(bare.x, guarded.x) and stepper(body, 1e-3, **EXPLICIT).dt == 1e-3

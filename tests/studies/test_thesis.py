@@ -28,7 +28,7 @@ from pipeline.studies.thesis.report import find_kind, make_report
 from pipeline.studies.thesis.verbal_claims import TESTS as STATEMENT_TESTS
 from pipeline.studies.thesis.verdicts import judge, judge_number
 from pipeline.views.html.blocks import Heading, Paragraph, Picture, TableBlock, render_html, render_markdown
-from tests.bodies import METHODS, run_motion, solid, spin_velocity, thesis_bar
+from tests.bodies import METHODS, motion, solid, spin, thesis_bar
 
 NUMBER = PublishedNumber("bar: largest volume", "2.0", 2.0, 0.02, "T 1.2", "bar", "linear", "largest_volume")
 SECTIONS = (
@@ -128,7 +128,7 @@ def test_a_homogeneous_rotation_obeys_the_law_exactly(axis, dt):
     omega = np.array(axis) * 1.5
     for name, steps, sources in (("linear", 5, [0] * 5), ("polar", 1, [0])):
         body = solid(mesh, **METHODS[name])
-        states = run_motion(body, dt, steps, spin_velocity(body, omega))
+        states = motion(body, dt, steps, spin(body, omega))
         for source, state in zip(sources, states[1:], strict=True):
             growth = growth_between(mesh, states[source].x, state.x)
             assert growth.over_law == pytest.approx(1.0, abs=1e-9)
