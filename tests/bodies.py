@@ -1,4 +1,4 @@
-"""The small bodies, motions and case files that several tests share."""
+"""Small bodies, motions and case files that several tests share."""
 
 import sys
 import types
@@ -21,7 +21,7 @@ from pipeline.problem.problem import Problem, build
 from pipeline.problem.stage_solvers import make_stepper
 from pipeline.stepping.state import State, Stepper
 
-MATERIAL = Material(1e8, 0.33, 1000.0)  # of the thesis' bar
+MATERIAL = Material(1e8, 0.33, 1000.0)  # that of the thesis' bar
 METHODS = {
     "linear": {"law": "linear"},
     "polar": {"law": "corotational", "rotation": "polar"},
@@ -34,11 +34,11 @@ BOXES = {
 }
 
 
-def thesis_bar(split: str = "kuhn") -> Mesh:
+def make_thesis_bar(split: str = "kuhn") -> Mesh:
     return box((4.0, 12.0, 4.0), (2, 8, 2), split)
 
 
-def solid(
+def make_solid(
     mesh: Mesh,
     law: str = "linear",
     rotation: str = "polar",
@@ -55,43 +55,43 @@ def solid(
     )
 
 
-def clamped_bar(**keywords: object) -> Body:
-    mesh = thesis_bar(str(keywords.pop("split", "kuhn")))
-    return solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), **keywords)  # type: ignore[arg-type]  # checked when it is called
+def make_clamped_bar(**keywords: object) -> Body:
+    mesh = make_thesis_bar(str(keywords.pop("split", "kuhn")))
+    return make_solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), **keywords)  # type: ignore[arg-type]  # checked by the call
 
 
-def stepper(body: Body, dt: float, **method: object) -> Stepper:
-    """Backward Euler, unless `stepper` among the method's keys names another."""
+def prepare_stepper(body: Body, dt: float, **method: object) -> Stepper:
+    """A stepper of the method; backward Euler unless `stepper` names another."""
     spec = MethodSpec(**method)  # type: ignore[arg-type]  # pydantic checks them
     return make_stepper(body, dt, spec)
 
 
-def motion(body: Body, dt: float, steps: int, v: np.ndarray, x: np.ndarray | None = None, **method) -> list[State]:
-    """The states 0..steps of a body, by backward Euler unless `stepper` names another."""
-    prepared = stepper(body, dt, **method)
+def list_states(body: Body, dt: float, steps: int, v: np.ndarray, x: np.ndarray | None = None, **method) -> list[State]:
+    """The states 0 to `steps` of a body, by backward Euler unless `stepper` names another."""
+    prepared = prepare_stepper(body, dt, **method)
     states = [State(0, body.mesh.points if x is None else x, v)]
     for _ in range(steps):
         states.append(prepared.step(states[-1])[0])
     return states
 
 
-def spin(body: Body, omega: np.ndarray) -> np.ndarray:
-    """The velocities omega x (X - centre of mass); the last axis of omega counts in the plane."""
+def make_spin(body: Body, omega: np.ndarray) -> np.ndarray:
+    """The velocities omega x (X - center of mass); in the plane only the last component of omega counts."""
     X = body.mesh.points - body.lumped_mass @ body.mesh.points / body.lumped_mass.sum()
     if X.shape[1] == 2:
         return omega[-1] * np.stack([-X[:, 1], X[:, 0]], axis=1)
     return np.cross(omega, X)
 
 
-def turn(d: int, axis: Iterable[float], angle: float) -> np.ndarray:
-    """A rotation matrix (d, d); in the plane about z, whatever the axis."""
+def make_rotation(d: int, axis: Iterable[float], angle: float) -> np.ndarray:
+    """A rotation matrix (d, d); in the plane it is always about z."""
     if d == 2:
         return rotation_about(np.array([0.0, 0.0, 1.0]), angle)[:2, :2]
     return rotation_about(np.array(list(axis), dtype=float), angle)
 
 
 def case_document(**sections: object) -> dict[str, object]:
-    """A clamped beam of 18 tetrahedra, three variants, four frames; a section given as None is left out."""
+    """A clamped beam of 18 tetrahedra, three variants, four frames; sections set to None are left out."""
     document: dict[str, object] = {
         "name": "beam",
         "mesh": {"shape": "box", "size": [1.0, 3.0, 1.0], "cells": [1, 3, 1]},
@@ -122,12 +122,12 @@ def write_case(folder: Path, name: str = "beam.toml", **sections: object) -> Pat
     return path
 
 
-def built(folder: Path, variant: str = "polar", **sections: object) -> Problem:
+def build_problem(folder: Path, variant: str = "polar", **sections: object) -> Problem:
     return build(load_case(write_case(folder, **sections)).variant(variant))
 
 
-def without_figures(monkeypatch) -> None:
-    """Figures, which have tests of their own and take a second each, become empty files."""
+def skip_figures(monkeypatch) -> None:
+    """Write empty files instead of figures, which have their own tests and take a second each."""
     blank = types.ModuleType("pipeline.views.plots")
     for name in ("write_volume_figure", "write_energy_figure", "write_effort_figure", "write_distance_figure"):
         setattr(blank, name, lambda dataset, path, *, title: path.touch())
@@ -135,11 +135,11 @@ def without_figures(monkeypatch) -> None:
 
 
 def assert_conventional(dataset: xarray.Dataset) -> None:
-    """CF-1.11: units and a sentence for every number, a sentence for every label, no missing coordinate."""
+    """CF-1.11: units and a long_name for every number, a long_name for every label, no missing coordinate."""
     assert dataset.attrs["Conventions"] == "CF-1.11" and dataset.attrs["title"]
     for key in ("units", "long_name"):
-        bare = [name for name, one in dataset.variables.items() if not one.attrs.get(key)]
+        bare = [name for name, variable in dataset.variables.items() if not variable.attrs.get(key)]
         bare = [name for name in bare if key == "long_name" or dataset[name].dtype == np.float64]
         assert bare == [], f"without {key}: {bare}"
     filled = [name for name in dataset.indexes if "_FillValue" in dataset[name].encoding]
-    assert filled == [], f"coordinates with a fill value, which appendix A does not allow: {filled}"
+    assert filled == [], f"coordinates with a fill value, which CF appendix A forbids: {filled}"

@@ -10,7 +10,7 @@ from typing import get_args
 import pytest
 
 import pipeline
-from tests.bodies import without_figures, write_case
+from tests.bodies import skip_figures, write_case
 
 VERBS = "run_case load_case make_case build frames record read_series analyze compare write_report write_movie".split()
 
@@ -40,7 +40,7 @@ def test_sinks_take_paths_as_text(sink):
 
 
 def test_objects_are_shown_on_one_line(tmp_path, monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     case = pipeline.load_case(write_case(tmp_path))
     problem = pipeline.build(case.variant("polar"))
     result = pipeline.run_case(str(case.path), str(tmp_path / "out"), variants=["polar"], movie=False)

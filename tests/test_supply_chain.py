@@ -13,7 +13,7 @@ from packaging.requirements import Requirement
 
 from pipeline.case import load_case
 from pipeline.results.case_run import run_case
-from tests.bodies import without_figures, write_case
+from tests.bodies import skip_figures, write_case
 from tests.results.test_resume import assert_same_results
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -136,7 +136,7 @@ def test_a_process_that_asks_for_the_network_is_caught(host):
 
 
 def test_two_runs_in_one_session_are_the_same_bytes(tmp_path, monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     case = load_case(write_case(tmp_path))
     one, two = (run_case(case, tmp_path / name, movie=False) for name in ("one", "two"))
     for a, b in zip(one.variants, two.variants, strict=True):

@@ -16,7 +16,7 @@ from pipeline.cli.terminal import Bars
 from pipeline.errors import SolveError, shorten
 from pipeline.results.case_run import run_case
 from pipeline.stepping.backward_euler import BackwardEuler
-from tests.bodies import without_figures, write_case
+from tests.bodies import skip_figures, write_case
 
 ROOT = Path(__file__).resolve().parents[2]
 TET = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
@@ -30,7 +30,7 @@ MESHES = {
 @pytest.fixture(autouse=True)
 def _in_a_folder_without_figures(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from pipeline.fem.modes import lowest_frequencies
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
 from pipeline.mesh.surface import boundary_faces
-from tests.bodies import BOXES, MATERIAL, METHODS, clamped_bar, solid, thesis_bar, turn
+from tests.bodies import BOXES, MATERIAL, METHODS, make_clamped_bar, make_rotation, make_solid, make_thesis_bar
 
 E = MATERIAL.youngs_modulus
 RNG = np.random.default_rng(1)
@@ -22,7 +22,7 @@ METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 def deformed(mesh: Mesh, amount: float = 0.1) -> np.ndarray:
     """A large turn with a random deformation on top."""
     X = mesh.points + amount * RNG.standard_normal(mesh.points.shape)
-    return X @ turn(mesh.dimension, [1, -2, 0.5], 2.0).T + 1.0
+    return X @ make_rotation(mesh.dimension, [1, -2, 0.5], 2.0).T + 1.0
 
 
 @MESHES
@@ -35,8 +35,8 @@ def test_an_affine_map_has_its_own_gradient(mesh):
 @METHOD
 @MESHES
 def test_a_free_body_has_as_many_zero_eigenvalues_as_rigid_motions(mesh, method):
-    body = solid(mesh, **method)
-    _, K = body.linearize(mesh.points @ turn(mesh.dimension, [1, 2, 3], 1.0).T)  # also where it has turned
+    body = make_solid(mesh, **method)
+    _, K = body.linearize(mesh.points @ make_rotation(mesh.dimension, [1, 2, 3], 1.0).T)  # also where it has turned
     K = body.pattern.matrix(K).toarray()
     values = np.linalg.eigvalsh(K)
     rigid = {2: 3, 3: 6}[mesh.dimension]
@@ -52,7 +52,7 @@ def test_patch_test(plain, method):
     X, d = plain.points.copy(), plain.dimension
     inner = np.all((X > 0) & (X < 3), axis=1)
     X[inner] += RNG.uniform(-0.2, 0.2, (inner.sum(), d))
-    body = solid(Mesh(X, plain.cells), **method)
+    body = make_solid(Mesh(X, plain.cells), **method)
     f = body.force(X @ (np.eye(d) + 0.1 * RNG.standard_normal((d, d))).T)
     assert np.abs(f[inner]).max() < 1e-13 * E
     assert np.abs(f[~inner]).max() > 1e-3 * E  # and it was not at rest
@@ -61,9 +61,11 @@ def test_patch_test(plain, method):
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1), (1, -2, 0.5)])
 @METHOD
 def test_a_quarter_turn_costs_force_in_the_linear_law_only(method, axis):
-    mesh = thesis_bar()
+    mesh = make_thesis_bar()
     h2 = 1.5**2  # the cells are 2 x 1.5 x 2 m
-    f = np.abs(solid(mesh, **method).force(mesh.points @ turn(3, axis, np.pi / 2).T + 5.0)).max() / (E * h2)
+    f = np.abs(make_solid(mesh, **method).force(mesh.points @ make_rotation(3, axis, np.pi / 2).T + 5.0)).max() / (
+        E * h2
+    )
     if method["law"] == "linear":
         assert 2.9 < f < 4.0  # measured: 2.91 to 3.93 by axis
     else:
@@ -73,8 +75,8 @@ def test_a_quarter_turn_costs_force_in_the_linear_law_only(method, axis):
 @METHOD
 @MESHES
 def test_forces_turn_with_the_body_unless_linear(mesh, method):
-    x, Q = deformed(mesh), turn(mesh.dimension, [0.3, -0.5, 0.8], 2.5)
-    body = solid(mesh, **method)
+    x, Q = deformed(mesh), make_rotation(mesh.dimension, [0.3, -0.5, 0.8], 2.5)
+    body = make_solid(mesh, **method)
     spread = np.abs(body.force(x @ Q.T) - body.force(x) @ Q.T).max() / np.abs(body.force(x)).max()
     assert spread > 0.1 if method["law"] == "linear" else spread < 1e-12
 
@@ -82,7 +84,7 @@ def test_forces_turn_with_the_body_unless_linear(mesh, method):
 @pytest.mark.parametrize("name", ["linear", "polar"])
 @MESHES
 def test_nodal_forces_are_minus_the_gradient_of_the_energy(mesh, name):
-    body, x = solid(mesh, **METHODS[name]), deformed(mesh, 0.05)
+    body, x = make_solid(mesh, **METHODS[name]), deformed(mesh, 0.05)
     wanted = np.zeros_like(x)
     h = 1e-5
     for index in np.ndindex(x.shape):
@@ -96,7 +98,7 @@ def test_nodal_forces_are_minus_the_gradient_of_the_energy(mesh, name):
 @pytest.mark.parametrize(("name", "kind"), [("linear", "frozen"), ("polar", "exact")])
 @MESHES
 def test_the_stiffness_is_minus_the_derivative_of_the_forces(mesh, name, kind):
-    body, x = solid(mesh, **METHODS[name]), deformed(mesh, 0.05)
+    body, x = make_solid(mesh, **METHODS[name]), deformed(mesh, 0.05)
     f, K = body.linearize(x, kind=kind)
     assert np.abs(f - body.force(x)).max() < 1e-13 * np.abs(f).max()
     K = body.pattern.matrix(K).toarray()
@@ -112,28 +114,28 @@ def test_the_stiffness_is_minus_the_derivative_of_the_forces(mesh, name, kind):
 def test_forces_are_those_of_the_warped_stiffness(mesh, name):
     """f = -sum R K_e (R^T x - X), cell by cell, with the K_e at rest (T 6.12 with the sign corrected)."""
     x, d = deformed(mesh), mesh.dimension
-    R = solid(mesh, **METHODS[name]).rotations(x)
+    R = make_solid(mesh, **METHODS[name]).rotations(x)
     f = np.zeros_like(x)
     for cell, rotation in zip(mesh.cells, R, strict=True):
-        alone = solid(Mesh(mesh.points[cell], np.arange(d + 1)[None]))
+        alone = make_solid(Mesh(mesh.points[cell], np.arange(d + 1)[None]))
         K_e = alone.pattern.matrix(alone.linearize(alone.mesh.points)[1])
         u = x[cell] @ rotation - mesh.points[cell]
         f[cell] -= (K_e @ u.ravel()).reshape(d + 1, d) @ rotation.T
-    assert np.abs(f - solid(mesh, **METHODS[name]).force(x)).max() < 1e-13 * np.abs(f).max() * 10
+    assert np.abs(f - make_solid(mesh, **METHODS[name]).force(x)).max() < 1e-13 * np.abs(f).max() * 10
 
 
 @MESHES
 def test_lumped_and_consistent_mass_weigh_the_same(mesh):
     weights = {}
     for mass in ("consistent", "lumped"):
-        body = solid(mesh, mass=mass)
+        body = make_solid(mesh, mass=mass)
         p = body.momentum(np.ones_like(mesh.points))
         assert p.sum(axis=0) == pytest.approx(np.full(mesh.dimension, 1000.0 * 6.0), rel=1e-14)
         weights[mass] = p
         assert np.allclose(p[:, 0], body.lumped_mass, rtol=1e-14)  # row sums
     assert weights["lumped"] == pytest.approx(weights["consistent"], rel=1e-14)
-    blocks = solid(mesh, mass="lumped").mass
-    pattern = solid(mesh).pattern
+    blocks = make_solid(mesh, mass="lumped").mass
+    pattern = make_solid(mesh).pattern
     assert not blocks[pattern.rows != pattern.indices].any()
 
 
@@ -166,14 +168,14 @@ def test_a_node_without_a_cell_keeps_its_place_in_the_matrices():
     ],
 )
 def test_frequencies_of_the_clamped_bar(split, mass, wanted):
-    found, modes = lowest_frequencies(clamped_bar(split=split, mass=mass), 2)
+    found, modes = lowest_frequencies(make_clamped_bar(split=split, mass=mass), 2)
     assert found == pytest.approx(wanted, abs=5e-3 + 5e-4)  # as printed: two decimals or three
-    assert not modes[:, clamped_bar().supports.nodes].any()
+    assert not modes[:, make_clamped_bar().supports.nodes].any()
 
 
 @MESHES
 def test_frequencies_of_a_free_body_leave_out_its_rigid_motions(mesh):
-    body = solid(mesh)
+    body = make_solid(mesh)
     K, M = (body.pattern.matrix(A).toarray() for A in (body.linearize(mesh.points)[1], body.mass))
     found, modes = lowest_frequencies(body, 4)
     rigid = {2: 3, 3: 6}[mesh.dimension]
@@ -195,7 +197,7 @@ def test_a_cantilever_sags_by_the_part_of_beam_theory_that_locking_leaves(split,
     """Linear tets are too stiff in bending: reported, not hidden. Measured with another program, nu = .33."""
     mesh = box((4.0, 12.0, 4.0), cells, split)
     load = body_force(mesh, np.array([0.0, 0.0, -9810.0]))
-    body = solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), load=load)
+    body = make_solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), load=load)
     pattern = body.free_pattern
     K = pattern.matrix(body.linearize(mesh.points)[1][: pattern.blocks]).toarray()
     u = np.zeros_like(mesh.points)

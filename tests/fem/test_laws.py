@@ -6,7 +6,7 @@ import pytest
 from pipeline.fem.laws import Corotational, Linear, make_elasticity_tensor
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import GRAM_SCHMIDT_ROTATION, POLAR_ROTATION
-from tests.bodies import turn
+from tests.bodies import make_rotation
 
 SOFT = Material(2.0, 0.3, 1.0)
 LAWS = {
@@ -30,8 +30,8 @@ GOOD = 1e-6
 def gradients(d: int, stretches: str) -> np.ndarray:
     """F = Q V diag(s) V^T over turns Q from none to 180 degrees; in the plane with the outer two stretches."""
     s = np.array(STRETCHES[stretches])[[0, 2] if d == 2 else [0, 1, 2]]
-    V = turn(d, [0.3, -0.5, 0.8], 0.7)
-    Q = [turn(d, axis, a) for axis in ([1, 2, 3], [-1, 0.2, 0.1]) for a in (0.0, 1.0, 2.5, np.pi)]
+    V = make_rotation(d, [0.3, -0.5, 0.8], 0.7)
+    Q = [make_rotation(d, axis, a) for axis in ([1, 2, 3], [-1, 0.2, 0.1]) for a in (0.0, 1.0, 2.5, np.pi)]
     return np.stack(Q) @ (V * s @ V.T)
 
 

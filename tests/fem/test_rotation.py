@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from pipeline.fem.rotation import angle, axial, gram_schmidt, polar
-from tests.bodies import turn
+from tests.bodies import make_rotation
 
 ROTATIONS = {"polar": polar, "gram_schmidt": gram_schmidt}
 RNG = np.random.default_rng(20240607)
@@ -37,7 +37,7 @@ def families(d: int) -> dict[str, np.ndarray]:
         "rank_1": with_singular_values(d, [2.0, 0.0, 0.0]),
         "rank_0": np.zeros((1, d, d)),
         "minus_identity": -np.eye(d)[None],
-        "half_turns": np.stack([turn(d, axis, np.pi) for axis in RNG.standard_normal((20, 3))]),
+        "half_turns": np.stack([make_rotation(d, axis, np.pi) for axis in RNG.standard_normal((20, 3))]),
         "scales": normal[:6] * ends[:, None, None],
         "uneven_columns": normal * np.array([1e-200, 1.0, 1e200])[:d],
         "subnormal": np.full((1, d, d), 5e-324),
@@ -111,7 +111,7 @@ def test_gram_schmidt_leaves_an_upper_triangle(F):
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_turning_the_body_turns_both_rotations_turning_the_axes_only_polar(d):
-    F, Q = RNG.standard_normal((50, d, d)), turn(d, [1, -2, 0.5], 2.1)
+    F, Q = RNG.standard_normal((50, d, d)), make_rotation(d, [1, -2, 0.5], 2.1)
     for rotation in ROTATIONS.values():
         assert np.abs(rotation(Q @ F) - Q @ rotation(F)).max() < 1e-11  # the worst of 50 is ill-conditioned
     assert np.abs(polar(F @ Q) - polar(F) @ Q).max() < 1e-11
@@ -142,7 +142,7 @@ def test_shear_of_one_turns_by_what_the_order_of_the_axes_makes_of_it(d, rotatio
 @pytest.mark.parametrize("wanted", [0.0, 1e-9, 0.5, np.pi / 2, 3.0, np.pi - 1e-7, np.pi])
 def test_angle_of_a_rotation_is_its_own_from_zero_to_a_half_turn(d, wanted):
     axes = RNG.standard_normal((20, 3))
-    R = np.stack([turn(d, axis, sign * wanted) for axis in axes for sign in (1, -1)])
+    R = np.stack([make_rotation(d, axis, sign * wanted) for axis in axes for sign in (1, -1)])
     # entries are rounded to 1e-16, and atan2 of both parts keeps that near 0 and near pi alike
     assert angle(R) == pytest.approx(np.full(40, wanted), abs=4e-15)
 

@@ -20,7 +20,7 @@ from pipeline.formats import sandbox as reader
 from pipeline.mesh.files import read_mesh
 from pipeline.series import read_series
 from tests import fuzzing
-from tests.bodies import without_figures
+from tests.bodies import skip_figures
 
 SECONDS = 60  # an example that takes longer hangs
 BYTES = 4 * 10**9
@@ -30,7 +30,7 @@ FIGURES = os.environ.get("PIPELINE_FUZZ_FIGURES")  # a file: how each example en
 @pytest.fixture(autouse=True)
 def _bounded(monkeypatch):
     """Limits the memory that an example may add to this process; figures are left out."""
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     monkeypatch.setattr(reader, "_LEAST_SECONDS", 5.0)
     before = resource.getrlimit(resource.RLIMIT_AS)
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()

@@ -295,9 +295,9 @@ def test_a_mesh_with_a_billion_cells_is_one_line(tmp_path, capfd):
 def test_our_own_frames_need_no_child(tmp_path, monkeypatch):
     from pipeline.case import load_case
     from pipeline.results.case_run import run_case
-    from tests.bodies import without_figures
+    from tests.bodies import skip_figures
 
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     run_case(load_case(write_case(tmp_path, variants={"only": {}})), tmp_path / "out", movie=False)
     monkeypatch.setattr(Reader, "read", None)
     folder = tmp_path / "out" / "beam" / "only"

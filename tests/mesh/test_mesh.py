@@ -10,7 +10,7 @@ from pipeline.mesh.files import read_mesh
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh, component_labels, quality
 from pipeline.mesh.surface import boundary_faces, outward_areas
-from tests.bodies import BOXES, thesis_bar
+from tests.bodies import BOXES, make_thesis_bar
 
 TET = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 ONE = np.array([[0, 1, 2, 3]])
@@ -18,7 +18,7 @@ ONE = np.array([[0, 1, 2, 3]])
 
 @pytest.mark.parametrize("split", ["kuhn", "alternating"])
 def test_the_thesis_bar_has_its_counts_and_tets_of_one_cubic_meter(split):
-    mesh = thesis_bar(split)
+    mesh = make_thesis_bar(split)
     assert mesh.points.shape == (81, 3) and mesh.cells.shape == (192, 4)
     assert mesh.rest_volumes == pytest.approx(np.ones(192), rel=1e-14)
 
@@ -66,7 +66,7 @@ def test_components_are_distinguished():
     two = Mesh(np.concatenate([TET, TET + 5]), np.concatenate([ONE, ONE + 4]))
     count, labels = component_labels(two)
     assert count == 2 and labels.tolist() == [0] * 4 + [1] * 4
-    assert component_labels(thesis_bar())[0] == 1
+    assert component_labels(make_thesis_bar())[0] == 1
 
 
 def test_a_mesh_cannot_be_changed():

@@ -12,7 +12,7 @@ from PIL import Image
 from pipeline.case import load_case
 from pipeline.results.case_run import run_case
 from pipeline.series import read_series
-from tests.bodies import PLANAR, without_figures, write_case
+from tests.bodies import PLANAR, skip_figures, write_case
 
 HERE = Path(__file__).resolve().parent
 SCREEN = ["xvfb-run", "-a", "-s", "-noreset -screen 0 1280x800x24"]
@@ -35,7 +35,7 @@ def run(request, tmp_path_factory):
     sections = PLANAR if request.param == "planar" else {}
     path = write_case(folder, output=output, **sections)
     with pytest.MonkeyPatch.context() as patch:
-        without_figures(patch)
+        skip_figures(patch)
         return request.param, run_case(load_case(path), folder / "out", movie=False)
 
 
@@ -80,7 +80,7 @@ def test_the_script_draws_the_variants(run, tmp_path):
 
 def test_the_script_works_in_the_window(tmp_path, monkeypatch):
     """ParaView's window hides the path of a script from it."""
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     folder = run_case(load_case(write_case(tmp_path)), tmp_path / "out", movie=False).folder
     script = folder / "open_in_paraview.py"
     picture = folder / "window.png"

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.errors import CaseError
 from pipeline.mesh.surface import boundary_faces, outward_areas
 from pipeline.run.frame_iterator import frames
-from tests.bodies import PLANAR, built, motion
+from tests.bodies import PLANAR, build_problem, motion
 
 STEPPERS = {
     "backward_euler": {"stepper": "backward_euler"},
@@ -49,7 +49,7 @@ def make_planar(driven: dict) -> dict:
 def get_refusal(folder: Path, **sections: object) -> str:
     """The message of the CaseError, after the file's name."""
     with pytest.raises(CaseError) as caught:
-        built(folder, **sections)
+        build_problem(folder, **sections)
     name, text = str(caught.value).split(".toml: ", 1)
     assert name.endswith("beam") and "\n" not in text
     return text
@@ -65,7 +65,7 @@ def test_a_moving_support_follows_its_motion_exactly_at_every_frame(tmp_path, d,
     schedule = {"dt": 1e-3, "steps_per_frame": 7, "frames": 6}
     place = {"plane": "y", "at": 0.0, "motion": driven if d == 3 else make_planar(driven)}
     sections = UNLOADED | {"supports": [HELD, place], "method": method, "schedule": schedule}
-    one = built(tmp_path, **(PLANAR | sections if d == 2 else sections))
+    one = build_problem(tmp_path, **(PLANAR | sections if d == 2 else sections))
     X = one.body.mesh.points
     end, still = X[:, 1] == 0.0, X[:, 1] == 3.0
     for frame in frames(one):
@@ -82,7 +82,7 @@ def test_a_moving_support_follows_its_motion_exactly_at_every_frame(tmp_path, d,
 def test_a_moving_support_starts_at_its_own_velocity_whatever_the_initial_one(tmp_path, driven):
     place = {"plane": "y", "at": 0.0, "motion": driven}
     initial = {"velocity": [5.0, 0.0, 0.0], "factor": 3.0}
-    one = built(tmp_path, **UNLOADED | {"supports": [HELD, place], "initial": initial})
+    one = build_problem(tmp_path, **UNLOADED | {"supports": [HELD, place], "initial": initial})
     X, v = one.body.mesh.points, one.start.v
     end, still = X[:, 1] == 0.0, X[:, 1] == 3.0
     h = 1e-5  # central differences err by h^2 omega^3, 1e-8 here
@@ -98,7 +98,7 @@ def test_a_body_whose_supports_all_move_alike_moves_as_one(tmp_path, method):
     """Thrown at the velocity of its support it does not deform at all."""
     drive = {"velocity": [0.3, -0.2, 0.1]}
     sections = {"supports": [HELD | {"motion": drive}], "initial": drive, "method": method}
-    one = built(tmp_path, **UNLOADED | sections | {"schedule": {"dt": 2e-3, "frames": 50}})
+    one = build_problem(tmp_path, **UNLOADED | sections | {"schedule": {"dt": 2e-3, "frames": 50}})
     for frame in frames(one):
         wanted = one.body.mesh.points + frame.time * np.array(drive["velocity"])
         assert np.abs(frame.x - wanted).max() < 1e-11  # rounding of forces between points that are off by 1e-16
@@ -108,7 +108,7 @@ def test_a_beam_whose_ends_turn_slowly_turns_as_a_whole(tmp_path):
     """Both ends turn slowly about the beam's axis: at the end the whole beam has turned."""
     spin = {"spin": {"axis": [0.0, 1.0, 0.0], "rate": 90.0, "center": [0.5, 0.0, 0.5]}}
     supports = [{"plane": "y", "at": y, "motion": spin} for y in (0.0, 3.0)]
-    one = built(tmp_path, **UNLOADED | {"supports": supports, "schedule": {"dt": 0.01, "frames": 100}})
+    one = build_problem(tmp_path, **UNLOADED | {"supports": supports, "schedule": {"dt": 0.01, "frames": 100}})
     *_, last = frames(one)
     turned = move_points(spin, one.body.mesh.points, 1.0)
     # 1.6 rad/s swell it by rho omega^2 r^2/E = 1e-4, and one solve turns by .016 rad a step: J = 1 + 2.5e-4
@@ -123,7 +123,9 @@ def test_a_node_cannot_follow_two_supports_of_which_one_moves(tmp_path, order):
     both = [s | {"motion": {"velocity": [1.0, 0.0, 0.0]}} for s in two]
     assert get_refusal(tmp_path, **UNLOADED | {"supports": both}).startswith("supports.1: node ")
     resting = [HELD, {"plane": "x", "at": 0.0}]
-    assert len(built(tmp_path, **UNLOADED | {"supports": resting}).body.supports.nodes) == 2 + 8  # 2 of them in both
+    assert (
+        len(build_problem(tmp_path, **UNLOADED | {"supports": resting}).body.supports.nodes) == 2 + 8
+    )  # 2 of them in both
 
 
 @pytest.mark.parametrize(
@@ -157,7 +159,7 @@ def test_the_factor_scales_velocity_and_spin_and_nothing_else(tmp_path, method):
     initial = {"velocity": [1.0, 2.0, 3.0], "spin": {"axis": [1.0, 0.0, 2.0], "rate": 50.0}}
     loads = {"gravity": [0.0, 0.0, -9.81]}
     one, three = (
-        built(tmp_path, method, supports=None, loads=loads, initial=initial | {"factor": f}) for f in (1.0, 3.0)
+        build_problem(tmp_path, method, supports=None, loads=loads, initial=initial | {"factor": f}) for f in (1.0, 3.0)
     )
     assert three.start.v == pytest.approx(3 * one.start.v, rel=1e-15)
     assert np.array_equal(three.body.load, one.body.load) and np.array_equal(three.start.x, one.start.x)
@@ -168,7 +170,7 @@ def test_a_spin_about_the_center_of_mass_has_no_linear_momentum(tmp_path, d):
     axis = [0.0, 0.0, 1.0] if d == 2 else [1.0, -2.0, 0.5]
     initial = {"velocity": [1.0, 2.0, 3.0][:d], "spin": {"axis": axis, "rate": 100.0}}
     sections = UNLOADED | {"initial": initial}
-    one = built(tmp_path, **(PLANAR | sections if d == 2 else sections))
+    one = build_problem(tmp_path, **(PLANAR | sections if d == 2 else sections))
     m, v = one.body.lumped_mass, one.start.v
     assert m @ v / m.sum() == pytest.approx([1.0, 2.0, 3.0][:d], abs=1e-12)
     arm = np.pad(one.start.x - [0.5, 1.5, 0.5][:d], [(0, 0), (0, 3 - d)])
@@ -184,9 +186,9 @@ def run_to_balance(folder: Path, variant: str, traction: list, mesh: dict) -> tu
 
     dt = .1 s is ten radians of its slowest mode, of which backward Euler leaves a tenth a step.
     """
-    one = built(folder, variant, **UNLOADED | {"loads": {"traction": traction}, "mesh": mesh})
+    one = build_problem(folder, variant, **UNLOADED | {"loads": {"traction": traction}, "mesh": mesh})
     X = one.body.mesh.points
-    end = motion(one.body, 0.1, 30, np.zeros_like(X), iterations="converged")[-1].x
+    end = list_states(one.body, 0.1, 30, np.zeros_like(X), iterations="converged")[-1].x
     return one, X - X.mean(axis=0), end - end.mean(axis=0)
 
 
@@ -227,7 +229,7 @@ def test_a_traction_all_round_has_no_resultant_and_swells_the_block_evenly(tmp_p
 @pytest.mark.parametrize(("face", "normal"), [(("x", 0.0), 0), (("x", 2.0), 0), (("y", 3.0), 1), (("z", 1.0), 2)])
 def test_a_traction_pulls_outward_with_its_area_on_its_own_nodes_only(tmp_path, face, normal):
     traction = [{"plane": face[0], "at": face[1], "normal_traction": 4.0}]
-    one = built(tmp_path, **UNLOADED | {"loads": {"traction": traction}, "mesh": CUBE})
+    one = build_problem(tmp_path, **UNLOADED | {"loads": {"traction": traction}, "mesh": CUBE})
     size = np.array([2.0, 3.0, 1.0])
     outward = np.eye(3)[normal] * (1 if face[1] else -1)
     area = size.prod() / size[normal]
@@ -242,13 +244,13 @@ def test_a_traction_is_on_the_faces_of_the_boundary_whose_corners_are_all_select
         "loads.traction.0: its nodes are not the corners of any boundary face"
     )
     half = {"above": {"axis": "y", "at": 1.5}, "normal_traction": 5.0}
-    one = built(tmp_path, **UNLOADED | {"loads": {"traction": [half]}, "mesh": mesh})
+    one = build_problem(tmp_path, **UNLOADED | {"loads": {"traction": [half]}, "mesh": mesh})
     faces, _ = boundary_faces(one.body.mesh)
     X = one.body.mesh.points
     chosen = faces[(X[faces][:, :, 1] > 1.5).all(axis=1)]
     assert len(chosen) == 8 + 4 * 4  # the end, and the row of squares beside it on four sides, in triangles
     assert one.body.load.sum(axis=0) == pytest.approx(5.0 * outward_areas(X, chosen).sum(axis=0), abs=1e-13)
-    twice = built(tmp_path, **UNLOADED | {"loads": {"traction": [half, half]}, "mesh": mesh})
+    twice = build_problem(tmp_path, **UNLOADED | {"loads": {"traction": [half, half]}, "mesh": mesh})
     assert np.array_equal(twice.body.load, 2 * one.body.load)
 
 
@@ -256,7 +258,7 @@ def test_a_traction_is_a_dead_load_on_the_rest_surface(tmp_path):
     """It does not turn with the body: on a free block that has turned it acts as at rest."""
     ends = [{"plane": "y", "at": y, "normal_traction": 1e3} for y in (0.0, 3.0)]
     spin = {"spin": {"axis": [0.0, 0.0, 1.0], "rate": 90.0}}
-    one = built(tmp_path, **UNLOADED | {"loads": {"traction": ends}, "initial": spin})
+    one = build_problem(tmp_path, **UNLOADED | {"loads": {"traction": ends}, "initial": spin})
     before = one.body.load.copy()
     last = list(frames(one))[-1]
     assert np.array_equal(one.body.load, before)
@@ -280,7 +282,7 @@ def test_a_traction_is_a_dead_load_on_the_rest_surface(tmp_path):
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
 def test_a_selector_holds_the_nodes_that_it_describes_in_the_plane(tmp_path, selector, count):
-    assert len(built(tmp_path, **PLANAR | {"supports": [selector]}).body.supports.nodes) == count
+    assert len(build_problem(tmp_path, **PLANAR | {"supports": [selector]}).body.supports.nodes) == count
 
 
 WRONG = {

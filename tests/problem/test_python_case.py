@@ -8,7 +8,7 @@ from pipeline.errors import CaseError
 from pipeline.mesh.shapes import box
 from pipeline.mesh.simplex import Mesh
 from pipeline.results.case_run import run_case
-from tests.bodies import without_figures, write_case
+from tests.bodies import skip_figures, write_case
 
 MATERIAL = {"youngs_modulus": 1e7, "poisson_ratio": 0.3, "density": 1000.0}
 BEAM = box((1.0, 3.0, 1.0), (1, 3, 1))
@@ -110,7 +110,7 @@ def waves(speed):
 
 
 def test_a_result_is_kept_compared_and_described(tmp_path, monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     case = beam(loads={"body_force": waves(3.0)}, variants={"linear": {"method.law": "linear"}, "polar": {}})
     first = run_case(case, tmp_path)
     assert [variant.status for variant in first.variants] == ["finished", "finished"]

@@ -10,7 +10,7 @@ import xarray
 from pipeline.errors import SeriesError
 from pipeline.results.analysis_folder import analyze, compare
 from pipeline.series import read_series
-from tests.bodies import assert_conventional, without_figures
+from tests.bodies import assert_conventional, skip_figures
 from tests.measured import measure_series
 from tests.series.test_series import CELLS, GROWTH, POINTS, TIMES, make_grid, move_points, write_pvd, write_series
 
@@ -38,7 +38,7 @@ def test_analyze_writes_the_numbers_of_the_series(tmp_path):
 
 
 def test_a_number_that_a_frame_lacks_is_nan_there(tmp_path, monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     for i, t in enumerate(TIMES):
         grid = make_grid(t)
         if i != 1:
@@ -59,7 +59,7 @@ def test_a_failing_analysis_leaves_no_partial_file(tmp_path):
 
 def test_memory_does_not_grow_with_the_frames(tmp_path, monkeypatch):
     """Compare peaks of Python and numpy with twenty times the frames of the same three files."""
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     grid = pyvista.ImageData(dimensions=(16, 16, 16)).cast_to_unstructured_grid().triangulate()
     for i, t in enumerate(TIMES):
         one = grid.copy()
@@ -147,7 +147,7 @@ def test_differences_of_nodes(tmp_path):
 
 
 def test_differences_of_nodes_between_frames(tmp_path, monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     a = make_swinging_series(tmp_path / "a", [0.0, 0.3, 0.9], "a", lambda t: t, lambda t: t)
     b = make_swinging_series(tmp_path / "b", [0.0, 0.1 + 0.2, 0.6, 0.8, 1.2], "b", lambda t: t, lambda t: t**2)
     result = compare([b, a], tmp_path / "out", difference=True)
@@ -160,7 +160,7 @@ def test_differences_of_nodes_between_frames(tmp_path, monkeypatch):
 
 
 def test_different_times_are_interpolated_with_a_note(tmp_path, monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     a = make_series(tmp_path / "a", [0.0, 1.0, 2.0], "a")
     b = make_series(tmp_path / "b", [0.0, 0.5, 1.5, 2.5], "b")
     result = compare([a, b], tmp_path / "out")
@@ -176,7 +176,7 @@ def test_different_times_are_interpolated_with_a_note(tmp_path, monkeypatch):
 
 
 def test_different_cells_are_compared_as_whole_bodies(tmp_path, monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     a = make_series(tmp_path / "a", TIMES, "a")
     (tmp_path / "b").mkdir()
     for i, t in enumerate(TIMES):
@@ -195,7 +195,7 @@ def test_different_cells_are_compared_as_whole_bodies(tmp_path, monkeypatch):
 
 @pytest.mark.opengl
 def test_movies(tmp_path, monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     monkeypatch.setattr("pipeline.results.analysis_folder._FILM_SECONDS", 2.0)
     monkeypatch.setattr("pipeline.results.analysis_folder._DRAWN_FRAMES", 3)
     a, b = (make_series(tmp_path / name, [0.0, 100.0, 200.0, 300.0], name, lambda t: t / 500) for name in "ab")

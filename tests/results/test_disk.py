@@ -10,12 +10,12 @@ from pipeline.cli import main
 from pipeline.problem.problem import build
 from pipeline.results import disk
 from pipeline.results.case_run import run_case
-from tests.bodies import PLANAR, without_figures, write_case
+from tests.bodies import PLANAR, skip_figures, write_case
 
 
 @pytest.fixture(autouse=True)
 def _no_figures(monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
 
 
 def with_free(monkeypatch, size: float) -> None:

@@ -18,7 +18,7 @@ from pipeline.run.measures import measure
 from pipeline.series import read_series
 from pipeline.stepping.backward_euler import BackwardEuler
 from pipeline.stepping.state import State
-from tests.bodies import PLANAR, built, turn, without_figures, write_case
+from tests.bodies import PLANAR, build_problem, make_rotation, skip_figures, write_case
 from tests.results.test_run_case import failing_at
 
 ONE = {"only": {}}
@@ -32,7 +32,7 @@ HARD = {
 
 @pytest.fixture(autouse=True)
 def _no_figures(monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
 
 
 def run(folder: Path, **sections: object) -> tuple[int, Path]:
@@ -80,7 +80,7 @@ def test_the_state_is_the_one_before_the_step_also_between_frames(tmp_path, monk
     assert code == 3 and len(read_series(folder)) == 2
     assert grid.field_data["step"][0] == 3 and grid.celltypes[0] == pyvista.CellType.TRIANGLE
     monkeypatch.undo()
-    whole = frames(built(tmp_path, "only", variants=ONE, **PLANAR, schedule={"dt": 0.001, "frames": 4}))
+    whole = frames(build_problem(tmp_path, "only", variants=ONE, **PLANAR, schedule={"dt": 0.001, "frames": 4}))
     assert np.array_equal(grid.points[:, :2], list(whole)[3].x)
 
 
@@ -109,12 +109,12 @@ def test_a_picture_that_cannot_be_written_hides_nothing(tmp_path, monkeypatch, c
 
 
 def test_what_may_help_is_told_with_its_numbers(tmp_path):
-    problem = built(tmp_path, method={"stepper": "symplectic_euler"}, schedule={"dt": 1e-4, "frames": 3})
+    problem = build_problem(tmp_path, method={"stepper": "symplectic_euler"}, schedule={"dt": 1e-4, "frames": 3})
     assert re.fullmatch(
         r"symplectic_euler is stable below 0\.00\d+ s at rest: .*",
         examine_failure(problem, problem.start).list_remedies()[0],
     )
-    problem = built(tmp_path, initial={"spin": {"axis": [0.0, 1.0, 0.0], "rate": 2000.0}}, supports=None)
+    problem = build_problem(tmp_path, initial={"spin": {"axis": [0.0, 1.0, 0.0], "rate": 2000.0}}, supports=None)
     found = examine_failure(problem, problem.start)
     # a rate w turns x + dt v by atan(w dt)
     assert found.rotation_per_step == pytest.approx(np.degrees(np.arctan(np.radians(2000.0) * 0.02)))
@@ -122,14 +122,14 @@ def test_what_may_help_is_told_with_its_numbers(tmp_path):
         f"try schedule.dt = {0.02 * 10 / found.rotation_per_step[0]:.2g}",
         'method.iterations = "converged" with method.rotation = "polar"',
     ]
-    turned = State(7, problem.body.mesh.points @ turn(3, [0.0, 0.0, 1.0], 0.5).T, 0 * problem.start.v)
+    turned = State(7, problem.body.mesh.points @ make_rotation(3, [0.0, 0.0, 1.0], 0.5).T, 0 * problem.start.v)
     assert examine_failure(problem, turned).rotation_angle == pytest.approx(np.degrees(0.5))
     assert examine_failure(problem, turned).rotation_per_step == pytest.approx(0, abs=1e-5)
 
 
 def test_a_poor_mesh_is_blamed(tmp_path):
     mesh = {"shape": "box", "size": [1.0, 3.0, 0.002], "cells": [1, 3, 1]}
-    problem = built(tmp_path, mesh=mesh)
+    problem = build_problem(tmp_path, mesh=mesh)
     last = examine_failure(problem, problem.start).list_remedies()[-1]
     assert re.fullmatch(r"a better mesh: the quality of cell \d+ is 0\.00\d+ \(1 is regular\)", last)
 

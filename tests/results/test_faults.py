@@ -27,7 +27,7 @@ from pipeline.results.case_run import CaseResult, run_case
 from pipeline.series import read_series
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.vtu import VtuSink
-from tests.bodies import without_figures, write_case
+from tests.bodies import skip_figures, write_case
 from tests.results.test_resume import assert_same_results
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,7 +36,7 @@ KILLS = int(os.environ.get("PIPELINE_KILLS", "20"))
 
 @pytest.fixture(autouse=True)
 def _no_figures(monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
 
 
 def written(folder: Path, *, frames: int = 12, seconds: float = 1e-9) -> Path:

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.case import load_case
 from pipeline.results.case_run import run_case
-from tests.bodies import without_figures, write_case
+from tests.bodies import skip_figures, write_case
 
 
 def resident_bytes() -> int:
@@ -19,7 +19,7 @@ def resident_bytes() -> int:
 @pytest.mark.slow
 def test_memory_and_open_files_stay_as_they_are(tmp_path, monkeypatch):
     """20 000 steps in 200 frames, a checkpoint a frame; 100 000 by hand: docs/reliability.md."""
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     case = load_case(
         write_case(
             tmp_path,

@@ -28,7 +28,7 @@ from pipeline.series import read_series
 from pipeline.stepping.bdf2 import BDF2
 from pipeline.stepping.report import Effort, ModelChoice
 from pipeline.stepping.state import EnergyRecord, Memory, State
-from tests.bodies import PLANAR, case_document, without_figures, write_case
+from tests.bodies import PLANAR, case_document, skip_figures, write_case
 from tests.measured import measure_series
 
 ONE = {"only": {}}
@@ -57,7 +57,7 @@ METHODS = {
 
 @pytest.fixture(autouse=True)
 def _no_figures(monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
 
 
 @pytest.fixture(autouse=True)

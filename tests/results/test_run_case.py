@@ -16,7 +16,7 @@ from pipeline.results import case_run as campaign
 from pipeline.results import comparison, variant_run
 from pipeline.results.case_run import CaseResult, run_case
 from pipeline.stepping.backward_euler import BackwardEuler
-from tests.bodies import PLANAR, assert_conventional, without_figures, write_case
+from tests.bodies import PLANAR, assert_conventional, skip_figures, write_case
 
 VARIANTS = ["linear", "gram_schmidt", "polar"]
 SOLVED = {"finished"}
@@ -24,7 +24,7 @@ SOLVED = {"finished"}
 
 @pytest.fixture(autouse=True)
 def _no_figures(monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
 
 
 def solve(out: Path, *, overrides=None, sections=None, **keywords) -> CaseResult:
@@ -52,7 +52,7 @@ def done(request, tmp_path_factory):
     """A finished campaign of three variants; not to be changed."""
     out = tmp_path_factory.mktemp(request.param) / "outputs"
     with pytest.MonkeyPatch.context() as patch:
-        without_figures(patch)
+        skip_figures(patch)
         return solve(out, sections=PLANAR if request.param == "2D" else {})
 
 
@@ -60,7 +60,7 @@ def done(request, tmp_path_factory):
 def _finished(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("finished") / "outputs"
     with pytest.MonkeyPatch.context() as patch:
-        without_figures(patch)
+        skip_figures(patch)
         solve(out)
     return out
 

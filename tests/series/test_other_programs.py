@@ -17,7 +17,7 @@ from pipeline.run.measures import measure
 from pipeline.series import read_series
 from pipeline.series import xarray_plugin as engine
 from pipeline.series.frame_files import read_grid
-from tests.bodies import without_figures
+from tests.bodies import skip_figures
 from tests.series.test_series import CELLS, POINTS, TIMES, make_grid, move_points, write_pvd, write_series
 
 
@@ -97,7 +97,7 @@ def measure_memory() -> int:
 @pytest.mark.slow
 def test_many_large_frames_need_the_memory_of_a_few(tmp_path, monkeypatch):
     """Read the same three files over and over; memory kept per frame would add up."""
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     mesh = box((4.0, 12.0, 4.0), GRID)
     for i in range(3):
         points = mesh.points * (1 + 0.01 * i)

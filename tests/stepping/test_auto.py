@@ -22,7 +22,7 @@ from pipeline.run.frame import Frame
 from pipeline.series import read_series
 from pipeline.series.xarray_plugin import make_lazy_dataset
 from pipeline.stepping.energy_guard import EnergyGuard
-from tests.bodies import solid
+from tests.bodies import make_solid
 
 CASES = Path(__file__).resolve().parents[2] / "cases"
 TOLERANCE = 0.01
@@ -55,7 +55,7 @@ def test_spurious_volume_is_the_square_of_the_tangent_of_the_angle(d: int) -> No
 def test_the_compiled_frame_error_is_the_plain_one_and_its_bound_holds(d: int, shake: float, turn: float) -> None:
     rng = np.random.default_rng(5)
     mesh = box([1.0, 2.0, 1.5], [2, 3, 2]) if d == 3 else rectangle([1.0, 2.0], [3, 5])
-    compiled = solid(mesh, "corotational", held=[0, 1])
+    compiled = make_solid(mesh, "corotational", held=[0, 1])
     plain = Body(compiled.mesh, compiled.law, compiled.supports, compiled.load, compiled.mass_model)
     X = compiled.mesh.points
     axis = np.array([1.0, 2.0, -1.0] if d == 3 else [0.0, 0.0, 1.0])
@@ -76,7 +76,7 @@ def test_the_compiled_frame_error_is_the_plain_one_and_its_bound_holds(d: int, s
 
 @pytest.mark.parametrize("turn", [0.1, 0.5, 1.0])
 def test_the_compiled_bound_of_angles_is_that_of_its_formula(turn: float) -> None:
-    body = solid(box([1.0, 2.0, 1.5], [2, 3, 2]), "corotational", held=[])
+    body = make_solid(box([1.0, 2.0, 1.5], [2, 3, 2]), "corotational", held=[])
     assert isinstance(body, CompiledBody)
     x = body.mesh.points @ rotation_about(np.array([1.0, 2.0, -1.0]), turn).T
     cells, G, _, mu, lam = body._cells
@@ -86,7 +86,9 @@ def test_the_compiled_bound_of_angles_is_that_of_its_formula(turn: float) -> Non
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_the_frame_error_of_nan_is_infinite(d: int) -> None:
-    body = solid(box([1.0, 1.0, 1.0], [2, 2, 2]) if d == 3 else rectangle([1.0, 1.0], [3, 3]), "corotational", held=[])
+    body = make_solid(
+        box([1.0, 1.0, 1.0], [2, 2, 2]) if d == 3 else rectangle([1.0, 1.0], [3, 3]), "corotational", held=[]
+    )
     x = body.mesh.points.copy()
     x[-1, 0] = np.nan
     R, S = np.empty((2, *body.rotations(x).shape))

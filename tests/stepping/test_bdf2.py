@@ -12,7 +12,7 @@ from pipeline.mesh.shapes import box, rectangle
 from pipeline.run.frame_iterator import frames
 from pipeline.stepping.bdf2 import mode_factor
 from pipeline.stepping.state import Memory, State
-from tests.bodies import METHODS, built, clamped_bar, motion, solid, stepper
+from tests.bodies import METHODS, build_problem, list_states, make_clamped_bar, make_solid, prepare_stepper
 
 ITERATIONS = pytest.mark.parametrize("iterations", [1, "converged"])
 
@@ -26,7 +26,7 @@ def root(z: float) -> complex:
 @pytest.mark.parametrize("z", [0.02, 0.73, 20.0])
 def test_a_mode_decays_and_lags_by_the_larger_root(mode, z):
     """w = omega q + i q' of one mode, started on the branch of the larger root, for which the squared formula holds."""
-    body = clamped_bar()
+    body = make_clamped_bar()
     found, shapes = lowest_frequencies(body, mode + 1)
     omega, shape = found[mode], shapes[mode]
     X, dual = body.mesh.points, body.momentum(shape)
@@ -36,7 +36,7 @@ def test_a_mode_decays_and_lags_by_the_larger_root(mode, z):
     # 1e3 sqrt(kg) m: meters, so that the rest of it after some steps is far above the rounding of X
     w = [1e3 * omega * (1 + 3j), 1e3 * omega * (1 + 3j) * G]
     (x_before, v_before), (x, v) = ((X + one.real / omega * shape, one.imag * shape) for one in w)
-    prepared = stepper(body, z / omega, stepper="bdf2")
+    prepared = prepare_stepper(body, z / omega, stepper="bdf2")
     state = State(1, x, v, Memory({"x_before": x_before, "v_before": v_before}))
     for _ in range(5):
         state, _ = prepared.step(state)
@@ -55,10 +55,10 @@ def test_bdf2_damps_by_the_fourth_power_of_the_step_and_backward_euler_by_its_sq
 @ITERATIONS
 @pytest.mark.parametrize("method", ["linear", "polar"])
 def test_the_first_step_is_backward_eulers(method, iterations):
-    body = clamped_bar(**METHODS[method])
+    body = make_clamped_bar(**METHODS[method])
     v = np.where(body.free_mask[:, None], [0.0, 0.0, -40.0], 0.0)
     one, other = (
-        motion(body, 0.07, 1, v, stepper=name, iterations=iterations)[-1] for name in ("bdf2", "backward_euler")
+        list_states(body, 0.07, 1, v, stepper=name, iterations=iterations)[-1] for name in ("bdf2", "backward_euler")
     )
     assert np.array_equal(one.x, other.x) and np.array_equal(one.v, other.v)
 
@@ -69,7 +69,7 @@ def make_swinging_beam(d: int) -> tuple:
     So few cells have no motion that the steps below do not resolve.
     """
     mesh = rectangle((1.0, 2.0), (1, 2)) if d == 2 else box((1.0, 2.0, 1.0), (1, 2, 1))
-    body = solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 0.0), **METHODS["polar"])
+    body = make_solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 0.0), **METHODS["polar"])
     found, shapes = lowest_frequencies(body)
     return body, found[0], found[0] * shapes[0] / np.abs(shapes[0]).max()
 
@@ -77,7 +77,7 @@ def make_swinging_beam(d: int) -> tuple:
 def end(d: int, name: str, iterations: object, n: int) -> np.ndarray:
     """The beam's positions after a radian of its phase in n steps."""
     body, omega, v = make_swinging_beam(d)
-    return motion(body, 1 / omega / n, n, v, stepper=name, iterations=iterations)[-1].x
+    return list_states(body, 1 / omega / n, n, v, stepper=name, iterations=iterations)[-1].x
 
 
 @cache
@@ -108,9 +108,9 @@ def test_free_fall_is_exact_but_for_its_first_step(iterations):
     """x = x0 + v0 t + g t^2/2, plus the error of the first step of backward Euler: g dt^2/2 (1 + 1/3 + 1/9 …) in x."""
     mesh, dt = box((2.0, 3.0, 1.0), (2, 3, 1)), 0.03
     g = np.array([0.0, 0.0, -9.81])
-    body = solid(mesh, load=1000.0 * mesh.node_volumes[:, None] * g, **METHODS["polar"])
+    body = make_solid(mesh, load=1000.0 * mesh.node_volumes[:, None] * g, **METHODS["polar"])
     v0 = np.array([1.0, -2.0, 3.0])
-    for s in motion(body, dt, 20, np.tile(v0, (len(mesh.points), 1)), stepper="bdf2", iterations=iterations):
+    for s in list_states(body, dt, 20, np.tile(v0, (len(mesh.points), 1)), stepper="bdf2", iterations=iterations):
         t = s.step * dt
         begun = 0.75 * (1 - (1 / 3) ** s.step) * dt**2
         assert s.x - mesh.points == pytest.approx(np.tile(v0 * t + g * (t**2 / 2 + begun), (len(s.x), 1)), abs=1e-11)
@@ -122,7 +122,7 @@ def test_free_fall_is_exact_but_for_its_first_step(iterations):
 def test_held_nodes_stay_and_moved_ones_follow_their_motion_to_the_bit(tmp_path, variant, iterations):
     moved = {"velocity": [0.3, 0.0, 0.0], "spin": {"axis": [0.0, 1.0, 0.0], "rate": 200.0, "center": [0.5, 0.0, 0.5]}}
     supports = [{"plane": "y", "at": 3.0}, {"plane": "y", "at": 0.0, "motion": moved}]
-    one = built(tmp_path, variant, supports=supports, method={"stepper": "bdf2", "iterations": iterations})
+    one = build_problem(tmp_path, variant, supports=supports, method={"stepper": "bdf2", "iterations": iterations})
     X = one.body.mesh.points
     (nodes, moving), *others = one.body.supports.motions
     assert isinstance(moving, RigidMotion) and not others
@@ -134,9 +134,9 @@ def test_held_nodes_stay_and_moved_ones_follow_their_motion_to_the_bit(tmp_path,
 @pytest.mark.parametrize("method", ["linear", "polar"])
 def test_a_step_is_one_solve_and_the_linear_law_factors_twice_in_all(method):
     """Backward Euler's M + dt^2 K for the first step, M + (2 dt/3)^2 K for all others."""
-    body = clamped_bar(**METHODS[method])
+    body = make_clamped_bar(**METHODS[method])
     prepared, state, work = (
-        stepper(body, 0.07, stepper="bdf2"),
+        prepare_stepper(body, 0.07, stepper="bdf2"),
         State(0, body.mesh.points, 0 * body.mesh.points),
         Work(),
     )

@@ -19,7 +19,7 @@ from pipeline.stepping.energy_guard import EnergyGuard
 from pipeline.stepping.report import StepReport
 from pipeline.stepping.state import Memory, State
 from pipeline.stepping.symplectic_euler import SymplecticEuler, true_limit
-from tests.bodies import METHODS, PLANAR, built, clamped_bar, solid, spin, stepper
+from tests.bodies import METHODS, PLANAR, build_problem, make_clamped_bar, make_solid, make_spin, prepare_stepper
 
 BARS = sorted((Path(__file__).resolve().parents[2] / "cases").glob("bar*.toml"))
 VARIANTS = [(path, name) for path in BARS for name in load_case(path).variant_names]
@@ -27,8 +27,8 @@ VARIANTS = [(path, name) for path in BARS for name in load_case(path).variant_na
 
 def make_spinning_body(mesh: Mesh, axis: int) -> tuple[Body, State]:
     """A free body that spins at 10 rad/s about an axis."""
-    body = solid(mesh, **METHODS["polar"])
-    return body, State(0, mesh.points, spin(body, 10.0 * np.eye(3)[axis]))
+    body = make_solid(mesh, **METHODS["polar"])
+    return body, State(0, mesh.points, make_spin(body, 10.0 * np.eye(3)[axis]))
 
 
 def run(one: Problem) -> State:
@@ -49,7 +49,7 @@ def test_a_long_bar_in_fast_spin_is_stopped_while_its_numbers_are_finite(split, 
     """Unguarded its energy grew by 7e2 to 3e9 in 100 steps and by 5e24 to 2e31 in 300."""
     body, state = make_spinning_body(box((2.0, 24.0, 4.0), (2, 8, 2), split), axis)
     start = 0.5 * (state.v * body.momentum(state.v)).sum()
-    prepared = stepper(body, 0.5)
+    prepared = prepare_stepper(body, 0.5)
     said = (
         r"unstable: the energy grew to \S+ J, more than 10 times the \S+ J .* schedule\.dt than 0\.5, .*\"converged\""
     )
@@ -64,7 +64,7 @@ def test_a_long_bar_in_fast_spin_is_stopped_while_its_numbers_are_finite(split, 
 @pytest.mark.parametrize(("size", "axis"), [((4.0, 12.0, 4.0), axis) for axis in range(3)] + [((2.0, 24.0, 4.0), 1)])
 def test_a_spin_that_decays_goes_on(size, axis):
     body, state = make_spinning_body(box(size, (2, 8, 2)), axis)
-    prepared = stepper(body, 0.5)
+    prepared = prepare_stepper(body, 0.5)
     for _ in range(150):
         state, _ = prepared.step(state)
 
@@ -77,7 +77,7 @@ def test_the_error_names_step_and_time_and_the_frames_before_it_are_kept(tmp_pat
     sections = {"mesh": mesh, "material": material, "initial": initial, "schedule": schedule}
     got = []
     with pytest.raises(SolveError) as caught:
-        got.extend(frames(built(tmp_path, supports=None, loads=None, **sections)))
+        got.extend(frames(build_problem(tmp_path, supports=None, loads=None, **sections)))
     step = len(got)  # frames 0..step - 1 were yielded
     assert 15 < step < 50
     assert str(caught.value).endswith(f"(at step {step}, t = {step * 0.5:g} s)")
@@ -85,7 +85,7 @@ def test_the_error_names_step_and_time_and_the_frames_before_it_are_kept(tmp_pat
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_an_explicit_step_above_the_limit_is_stopped(d, tmp_path):
-    one = built(tmp_path, method={"mass": "lumped"}, **(PLANAR if d == 2 else {}))
+    one = build_problem(tmp_path, method={"mass": "lumped"}, **(PLANAR if d == 2 else {}))
     prepared = EnergyGuard(one.body, SymplecticEuler(one.body, 1.05 * true_limit(one.body)))
     state = one.start
     with pytest.raises(SolveError, match="the step is unstable"):
@@ -121,7 +121,7 @@ def run_guarded(body: Body, start: float, *speeds: float) -> State:
 
 
 def test_three_steps_in_a_row_are_too_many_and_two_are_not():
-    body = clamped_bar(**METHODS["polar"])
+    body = make_clamped_bar(**METHODS["polar"])
     memory = run_guarded(body, 1.0, 5.0, 5.0, 1.0, 5.0, 5.0).memory
     assert set(memory.stepper) == {"kept"} and memory.energy is not None and memory.energy.strikes == 2
     run_guarded(body, 1.0, 3.1, 3.1, 3.1)  # 9.6 times the energy
@@ -132,7 +132,7 @@ def test_three_steps_in_a_row_are_too_many_and_two_are_not():
 
 
 def test_a_body_that_starts_without_energy_may_reach_that_of_a_strain_of_a_hundred_thousandth():
-    body = clamped_bar(**METHODS["polar"])
+    body = make_clamped_bar(**METHODS["polar"])
     scale = 1e-10 * (body.material.lam + 2 * body.material.mu) * body.mesh.rest_volumes.sum()  # 2.8 J
     speed = np.sqrt(2 * scale / body.lumped_mass[body.free].sum())
     run_guarded(body, 0.0, *3 * [3 * speed])
@@ -143,7 +143,7 @@ def test_a_body_that_starts_without_energy_may_reach_that_of_a_strain_of_a_hundr
 @pytest.mark.parametrize("broken", ["x", "v"])
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_numbers_that_are_not_finite_are_an_error_that_names_step_and_time(tmp_path, monkeypatch, broken, wrong):
-    one = built(tmp_path, "linear")
+    one = build_problem(tmp_path, "linear")
     X = one.body.mesh.points
     bad = {"x": X.copy(), "v": 0 * X}
     bad[broken][3, 1] = wrong
@@ -189,7 +189,7 @@ CALM = {
 @pytest.mark.parametrize("sections", CALM.values(), ids=CALM)
 def test_no_calm_scene_is_stopped(tmp_path, sections, stepper):
     explicit = {"schedule": {"dt": 5e-4, "frames": 1000}} if stepper == "symplectic_euler" else {}
-    run(built(tmp_path, **SCHEDULE | sections | {"method": {"stepper": stepper}} | explicit))
+    run(build_problem(tmp_path, **SCHEDULE | sections | {"method": {"stepper": stepper}} | explicit))
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-3])
@@ -197,9 +197,9 @@ def test_no_calm_scene_is_stopped(tmp_path, sections, stepper):
 def test_noise_on_a_body_at_rest_is_not_stopped(name, size):
     """Noise in positions that a user would not see causes larger velocities."""
     mesh = box((size, 3 * size, size), (1, 3, 1))
-    body = solid(mesh, material=Material(1e7, 0.3, 1000.0), mass="lumped", **METHODS["polar"])
+    body = make_solid(mesh, material=Material(1e7, 0.3, 1000.0), mass="lumped", **METHODS["polar"])
     x = mesh.points + 1e-9 * size * np.random.default_rng(6).standard_normal(mesh.points.shape)
-    prepared, state = stepper(body, 0.4 * true_limit(body), stepper=name), State(0, x, 0 * x)
+    prepared, state = prepare_stepper(body, 0.4 * true_limit(body), stepper=name), State(0, x, 0 * x)
     for _ in range(500):
         state, _ = prepared.step(state)
     assert np.abs(state.x - mesh.points).max() < 1e-6 * size
@@ -211,21 +211,21 @@ def test_noise_on_a_body_at_rest_is_not_stopped(name, size):
 @pytest.mark.parametrize("name", ["backward_euler", "bdf2"])
 def test_the_methods_whose_energy_is_bounded_are_not_guarded(name):
     for method, is_guarded in (("linear", False), ("polar", True), ("gram_schmidt", True)):
-        body = clamped_bar(**METHODS[method])
-        assert isinstance(stepper(body, 0.07, stepper=name), EnergyGuard) == is_guarded
-    body = clamped_bar(**METHODS["polar"])
-    assert not isinstance(stepper(body, 0.07, stepper=name, iterations="converged"), EnergyGuard)
-    assert isinstance(stepper(body, 0.07, stepper=name, iterations=3), EnergyGuard)
-    assert isinstance(stepper(body, 1e-3, stepper="symplectic_euler"), EnergyGuard)
+        body = make_clamped_bar(**METHODS[method])
+        assert isinstance(prepare_stepper(body, 0.07, stepper=name), EnergyGuard) == is_guarded
+    body = make_clamped_bar(**METHODS["polar"])
+    assert not isinstance(prepare_stepper(body, 0.07, stepper=name, iterations="converged"), EnergyGuard)
+    assert isinstance(prepare_stepper(body, 0.07, stepper=name, iterations=3), EnergyGuard)
+    assert isinstance(prepare_stepper(body, 1e-3, stepper="symplectic_euler"), EnergyGuard)
 
 
 def test_a_calm_run_pays_for_one_elastic_energy_at_its_start(monkeypatch):
-    body = clamped_bar(**METHODS["polar"])
+    body = make_clamped_bar(**METHODS["polar"])
     calls = []
     energy = type(body).energy
     monkeypatch.setattr(type(body), "energy", lambda self, x: calls.append(1) or energy(self, x))
     prepared, state = (
-        stepper(body, 0.07),
+        prepare_stepper(body, 0.07),
         State(0, body.mesh.points, np.where(body.free_mask[:, None], [10.0, 0, 0], 0.0)),
     )
     for _ in range(20):

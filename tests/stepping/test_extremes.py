@@ -29,7 +29,7 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.problem.methods import IMPLICIT_STEPPERS
 from pipeline.stepping.state import State
 from pipeline.studies.stability.perturbations import move_apexes
-from tests.bodies import METHODS, clamped_bar, motion, solid, spin
+from tests.bodies import METHODS, list_states, make_clamped_bar, make_solid, make_spin
 from tests.stepping.test_inversion import collapse_bar, scramble_bar
 
 # law and rotation of the body, and what the stepper is told
@@ -55,7 +55,7 @@ def beam(way: str, *, unit: float = 1.0, weight: float = 1.0, material: Material
     told = Material(m.youngs_modulus / weight * unit, m.poisson_ratio, m.density / weight * unit**3)
     load = body_force(mesh, told.density * GRAVITY[-d:] / unit)
     held = np.flatnonzero(mesh.points[:, 1] == mesh.points[:, 1].max())
-    return solid(mesh, held=held, load=load, material=told, **WAYS[way][0])
+    return make_solid(mesh, held=held, load=load, material=told, **WAYS[way][0])
 
 
 def throw(body: Body, speed: float) -> np.ndarray:
@@ -63,7 +63,7 @@ def throw(body: Body, speed: float) -> np.ndarray:
 
 
 def run_steps(body: Body, way: str, time_stepper: str, dt: float, steps: int, v: np.ndarray, x=None) -> State:
-    states = motion(body, dt, steps, v, x, **WAYS[way][1], stepper=time_stepper)
+    states = list_states(body, dt, steps, v, x, **WAYS[way][1], stepper=time_stepper)
     assert all(np.isfinite(s.x).all() and np.isfinite(s.v).all() for s in states)
     return states[-1]
 
@@ -73,7 +73,9 @@ def run_to_rest(body: Body, way: str, time_stepper: str, v: np.ndarray) -> State
     last = run_steps(body, way, time_stepper, 10.0, 15, v)
     assert np.abs(last.v).max() < 1e-4
     if way == "auto":
-        other = solid(body.mesh, held=body.supports.nodes, load=body.load, material=body.material, **METHODS["polar"])
+        other = make_solid(
+            body.mesh, held=body.supports.nodes, load=body.load, material=body.material, **METHODS["polar"]
+        )
         wanted = run_steps(other, "converged", time_stepper, 10.0, 15, v).x
         # measured: .006 of the sag; .01 of volume is what auto may be wrong by
         assert np.abs(last.x - wanted).max() < 0.02 * np.abs(wanted - body.mesh.points).max()
@@ -110,7 +112,7 @@ def test_every_step_from_a_microsecond_to_ten_seconds_keeps_within_the_initial_e
     body = beam(way)
     v = throw(body, 20.0)
     start = 0.5 * (v * body.momentum(v)).sum()
-    for s in motion(body, dt, 20, v, **WAYS[way][1], stepper=time_stepper):
+    for s in list_states(body, dt, 20, v, **WAYS[way][1], stepper=time_stepper):
         fallen = np.abs((body.load * (s.x - body.mesh.points)).sum())
         assert 0.5 * (s.v * body.momentum(s.v)).sum() + body.energy(s.x) < (1 + 1e-9) * (start + fallen)
 
@@ -148,7 +150,7 @@ def run_plain_beam(way: str, time_stepper: str, weight: bool) -> np.ndarray:
 
 def make_weightless_beam(way: str, stiffer: float, denser: float) -> Body:
     body = beam(way, material=Material(1e7 * stiffer, 0.3, 1000.0 * denser))
-    return solid(body.mesh, held=body.supports.nodes, material=body.material, **WAYS[way][0])
+    return make_solid(body.mesh, held=body.supports.nodes, material=body.material, **WAYS[way][0])
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
@@ -187,13 +189,13 @@ SAGS = {0.1: 0.01117, 1e-3: 0.01010}
 @pytest.mark.parametrize("height", SAGS)
 @EVERY_WAY
 def test_a_bar_with_slivers_reaches_its_balance(way, time_stepper, height):
-    bar = clamped_bar()
+    bar = make_clamped_bar()
     X = move_apexes(bar.mesh, bar.free, 1 - height, seed=0)
     mesh = Mesh(X, bar.mesh.cells)
     least = (mesh.rest_volumes / bar.mesh.rest_volumes).min()
     assert least == pytest.approx(min(height, 1.0), rel=1e-9)
     load = body_force(mesh, 1000.0 * GRAVITY)
-    body = solid(mesh, held=bar.supports.nodes, load=load, material=Material(1e9, 0.33, 1000.0), **WAYS[way][0])
+    body = make_solid(mesh, held=bar.supports.nodes, load=load, material=Material(1e9, 0.33, 1000.0), **WAYS[way][0])
     sag = np.abs(run_to_rest(body, way, time_stepper, throw(body, 10.0)).x - X).max()
     # measured, the same in every method; without slivers .01146: eight cells of 192 do not make the bar another one
     assert sag == pytest.approx(SAGS[height], rel=1e-3)
@@ -202,7 +204,7 @@ def test_a_bar_with_slivers_reaches_its_balance(way, time_stepper, height):
 @EVERY_WAY
 @pytest.mark.parametrize("depth", [0.2, 0.8, 1.2])
 def test_apexes_pushed_through_their_bases_come_back_in_every_method(way, time_stepper, depth):
-    body = clamped_bar(**WAYS[way][0])
+    body = make_clamped_bar(**WAYS[way][0])
     x = move_apexes(body.mesh, body.free, 1 + depth, seed=0)
     assert ratios(body, State(0, x, x)).min() == pytest.approx(-depth, rel=1e-9)
     # L-stable: large steps damp all of it
@@ -214,7 +216,7 @@ def test_apexes_pushed_through_their_bases_come_back_in_every_method(way, time_s
 @pytest.mark.parametrize("start", ["scrambled", "rank 2", "rank 1", "rank 0"])
 def test_scrambled_and_collapsed_starts_come_back_in_every_method(way, time_stepper, start):
     _, x = scramble_bar(0) if start == "scrambled" else collapse_bar(int(start[-1]))
-    body = clamped_bar(**WAYS[way][0])
+    body = make_clamped_bar(**WAYS[way][0])
     last = run_steps(body, way, time_stepper, 0.5, 60, 0 * x, x)
     assert np.abs(ratios(body, last) - 1).max() < 1e-6
 
@@ -242,13 +244,13 @@ def test_one_cell_alone_falls_and_hung_up_it_sags(way, time_stepper, d, solver):
     mesh = Mesh(whole.points[whole.cells[0]], np.arange(d + 1)[None])
     told = WAYS[way][1] | {"linear_solver": solver, "stepper": time_stepper}
     load, material = body_force(mesh, 1000.0 * GRAVITY[-d:]), Material(1e7, 0.3, 1000.0)
-    free = solid(mesh, load=load, material=material, **WAYS[way][0])
-    last = motion(free, 0.05, 10, 0 * mesh.points, **told)[-1]
+    free = make_solid(mesh, load=load, material=material, **WAYS[way][0])
+    last = list_states(free, 0.05, 10, 0 * mesh.points, **told)[-1]
     wanted = fall(d, 0.05, 10, time_stepper)
     assert np.abs(last.x - mesh.points - wanted).max() < 0.02 * np.abs(wanted).max()
     assert np.abs(ratios(free, last) - 1).max() < 1e-6
-    hung = solid(mesh, held=range(d), load=load, material=material, **WAYS[way][0])
-    last = motion(hung, 1.0, 15, 0 * mesh.points, **told)[-1]
+    hung = make_solid(mesh, held=range(d), load=load, material=material, **WAYS[way][0])
+    last = list_states(hung, 1.0, 15, 0 * mesh.points, **told)[-1]
     assert np.abs((hung.force(last.x) + hung.load)[hung.free]).max() < 1e-4 * np.abs(load).max()
 
 
@@ -261,8 +263,8 @@ def test_of_two_components_the_free_one_falls_and_the_held_one_is_unaffected(way
     told = WAYS[way][1] | {"linear_solver": solver, "stepper": time_stepper}
     material, ends = Material(1e7, 0.3, 1000.0), []
     for m in (mesh, one):
-        body = solid(m, held=held, load=body_force(m, 1000.0 * GRAVITY), material=material, **WAYS[way][0])
-        ends.append(motion(body, 0.05, 10, 0 * m.points, **told)[-1].x)
+        body = make_solid(m, held=held, load=body_force(m, 1000.0 * GRAVITY), material=material, **WAYS[way][0])
+        ends.append(list_states(body, 0.05, 10, 0 * m.points, **told)[-1].x)
     both, alone = ends
     wanted = fall(3, 0.05, 10, time_stepper)
     assert np.abs(both[n:] - mesh.points[n:] - wanted).max() < 0.02 * np.abs(wanted).max()
@@ -280,8 +282,8 @@ def test_a_first_step_of_up_to_50_rad_swells_as_its_method_predicts(time_stepper
     """Linear and one solve swell to 1 + angle^2; auto keeps its tolerance, plus the stretch of the spin itself."""
     mesh = box((4.0, 12.0, 4.0), (2, 8, 2)) if d == 3 else rectangle((4.0, 12.0), (2, 8))
     for way in ("linear", "polar", "gram_schmidt", "auto", "converged"):
-        body = solid(mesh, **WAYS[way][0])
-        v = spin(body, np.array([0.0, 0.0, 10.0]))
+        body = make_solid(mesh, **WAYS[way][0])
+        v = make_spin(body, np.array([0.0, 0.0, 10.0]))
         last = run_steps(body, way, time_stepper, angle / 10.0, 1, v)
         J = ratios(body, last)
         if way in ("auto", "converged"):
@@ -294,10 +296,10 @@ def test_a_first_step_of_up_to_50_rad_swells_as_its_method_predicts(time_stepper
 @pytest.mark.parametrize("dt", [0.5, 5.0])  # 5 and 50 rad a step
 def test_the_long_bar_that_blows_up_with_one_solve_survives_converged(dt):
     """One solve is stopped by the guard in step 22 to 80 (test_guard)."""
-    body = solid(box((2.0, 24.0, 4.0), (2, 8, 2)), **METHODS["polar"])
-    v = spin(body, np.array([0.0, 0.0, 10.0]))
+    body = make_solid(box((2.0, 24.0, 4.0), (2, 8, 2)), **METHODS["polar"])
+    v = make_spin(body, np.array([0.0, 0.0, 10.0]))
     start = 0.5 * (v * body.momentum(v)).sum()
-    for s in motion(body, dt, 40, v, iterations="converged"):
+    for s in list_states(body, dt, 40, v, iterations="converged"):
         assert 0.5 * (s.v * body.momentum(s.v)).sum() + body.energy(s.x) <= start * (1 + 1e-9)
         assert (
             np.abs(ratios(body, s) - 1).max() < 0.005

@@ -12,7 +12,7 @@ from pipeline.fem.rotation import Rotation, polar
 from pipeline.fem.supports import Supports
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.methods import INVERSIONS
-from tests.bodies import MATERIAL, METHODS, clamped_bar, motion, solid, turn
+from tests.bodies import MATERIAL, METHODS, list_states, make_clamped_bar, make_rotation, make_solid
 
 # F = diag(1, 1, J) with R = diag(-1, 1, -1), the base's edge being shorter than the height: its strain of -2 is held
 # in balance where 2 mu (-J - 1) + lam (-J - 1 - 2) = 0; in the plane alike
@@ -26,19 +26,19 @@ def make_apex(d: int, depth: float) -> tuple[Body, np.ndarray]:
     mesh = Mesh(np.concatenate([np.zeros((1, d)), np.eye(d)]), np.arange(d + 1)[None])
     x = mesh.points.copy()
     x[d, d - 1] = -depth
-    return solid(mesh, held=range(d), **METHODS["polar"]), x
+    return make_solid(mesh, held=range(d), **METHODS["polar"]), x
 
 
 def scramble_bar(seed: int) -> tuple[Body, np.ndarray]:
     """The thesis bar with every free node anywhere within 3 m, a cell being 2 m, 1.5 m and 2 m."""
-    body = clamped_bar(**METHODS["polar"])
+    body = make_clamped_bar(**METHODS["polar"])
     away = np.random.default_rng(seed).uniform(-3.0, 3.0, body.mesh.points.shape)
     return body, body.mesh.points + np.where(body.free_mask[:, None], away, 0.0)
 
 
 def collapse_bar(rank: int) -> tuple[Body, np.ndarray]:
     """The thesis bar, its free nodes pressed into a plane, onto a line or into a point of the held face."""
-    body = clamped_bar(**METHODS["polar"])
+    body = make_clamped_bar(**METHODS["polar"])
     X = body.mesh.points
     kept = [1, 0, 2][:rank]
     x = np.tile([2.0, 12.0, 2.0], (len(X), 1))
@@ -70,7 +70,7 @@ def end(treatment: str, start: str) -> np.ndarray:
     """J of every cell after STEPS steps."""
     make, *arguments = STARTS[start]
     body, x = make(*arguments)
-    states = motion(body, DT, STEPS, np.zeros_like(x), x, inversion=treatment)
+    states = list_states(body, DT, STEPS, np.zeros_like(x), x, inversion=treatment)
     assert all(np.isfinite(s.x).all() and np.isfinite(s.v).all() for s in states)
     return np.linalg.det(deformation_gradient(body.mesh, states[-1].x))
 
@@ -100,7 +100,7 @@ def test_two_treatments_recover_every_apex_and_the_inverted_rest_is_at_its_formu
 @pytest.mark.parametrize("depth", [0.2, 0.8, 1.2])
 def test_an_inverted_triangle_recovers_unless_its_height_has_become_its_longer_side(treatment, depth):
     body, x = make_apex(2, depth)
-    last = motion(body, DT, STEPS, np.zeros_like(x), x, inversion=treatment)[-1]
+    last = list_states(body, DT, STEPS, np.zeros_like(x), x, inversion=treatment)[-1]
     J = np.linalg.det(deformation_gradient(body.mesh, last.x))[0]
     stays = treatment == "flip" and depth > 1
     assert pytest.approx(AT_REST_INVERTED if stays else 1.0, abs=1e-6) == J
@@ -120,7 +120,7 @@ def test_the_reflecting_rotation_keeps_an_inverted_cell_inverted_and_ours_lets_i
     for rotation in (reflecting_rotation, polar):
         law = Corotational(MATERIAL, Rotation(rotation))
         other = Body(body.mesh, law, Supports(body.supports.nodes), body.load, body.mass_model)
-        last = motion(other, DT, STEPS, np.zeros_like(x), x)[-1]
+        last = list_states(other, DT, STEPS, np.zeros_like(x), x)[-1]
         ends[rotation] = np.linalg.det(deformation_gradient(body.mesh, last.x))[0], other.energy(last.x)
     # the mirror image is taken for the rest shape: J = -1 without energy
     assert ends[reflecting_rotation] == pytest.approx((-1.0, 0.0), abs=1e-6)
@@ -149,7 +149,7 @@ def test_treatments_are_the_polar_rotation_unless_inverted_and_always_a_rotation
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_crossing_takes_the_direction_that_collapsed_and_last_the_rotation_from_before(d):
-    Q = turn(d, [1, 2, 3], 0.7)
+    Q = make_rotation(d, [1, 2, 3], 0.7)
     deep = Q @ np.diag([1.0, 0.5, -1.5] if d == 3 else [0.5, -1.5])  # flip would take the shortest: not the last axis
     for treatment in ("last", "crossing"):
         made = INVERSIONS[treatment].part()
@@ -157,7 +157,7 @@ def test_crossing_takes_the_direction_that_collapsed_and_last_the_rotation_from_
         R, memory = made.rotations(deep[None], memory)
         assert np.abs(R[0] - Q).max() < 1e-14
         # and once more turned, while it is inverted: crossing follows, last stays
-        S = turn(d, [3, 1, -2], 1.0)
+        S = make_rotation(d, [3, 1, -2], 1.0)
         R, _ = made.rotations((S @ deep)[None], memory)
         assert np.abs(R[0] - (Q if treatment == "last" else S @ Q)).max() < 1e-14
     assert np.abs(polar(deep[None])[0] - Q).max() > 0.5
@@ -177,7 +177,7 @@ def test_crossing_forgets_the_direction_of_a_cell_that_has_recovered(d):
 def test_every_stepper_carries_the_memory_of_its_treatment(treatment, stepper):
     body, x = make_apex(3, 1.2)
     dt = 1e-4 if stepper == "symplectic_euler" else 0.01
-    states = motion(body, dt, 5, np.zeros_like(x), x, inversion=treatment, stepper=stepper)
+    states = list_states(body, dt, 5, np.zeros_like(x), x, inversion=treatment, stepper=stepper)
     names = {"last": {"rotation_before"}, "crossing": {"gradient_before", "collapsed"}}[treatment]
     assert all(names == set(s.memory.inversion) for s in states[1:])
     assert all(np.isfinite(value).all() for value in states[-1].memory.inversion.values())
@@ -186,5 +186,5 @@ def test_every_stepper_carries_the_memory_of_its_treatment(treatment, stepper):
 
 def test_the_default_treatment_has_no_memory():
     body, x = make_apex(3, 0.5)
-    memory = motion(body, DT, 1, np.zeros_like(x), x)[-1].memory
+    memory = list_states(body, DT, 1, np.zeros_like(x), x)[-1].memory
     assert not memory.inversion and not memory.stepper and memory.energy is not None

@@ -19,7 +19,16 @@ from pipeline.stepping.newton import Converged
 from pipeline.stepping.report import StepReport
 from pipeline.stepping.stage import Stage
 from pipeline.stepping.state import State
-from tests.bodies import BOXES, METHODS, built, motion, solid, spin, stepper, turn
+from tests.bodies import (
+    BOXES,
+    METHODS,
+    build_problem,
+    list_states,
+    make_rotation,
+    make_solid,
+    make_spin,
+    prepare_stepper,
+)
 
 RNG = np.random.default_rng(8)
 SOFT = Material(1e7, 0.3, 1000.0)
@@ -32,7 +41,7 @@ def throw_beam(d: str, speed: float = 20.0) -> tuple[Body, State]:
     """A clamped beam, heavy, thrown across its axis: it turns by some 20 degrees in a step of DT."""
     mesh = BEAMS[d]
     held = np.flatnonzero(mesh.points[:, 1] == 3.0)
-    body = solid(
+    body = make_solid(
         mesh, held=held, material=SOFT, load=body_force(mesh, 9810.0 * np.eye(int(d[0]))[0]), **METHODS["polar"]
     )
     v = np.where(body.free_mask[:, None], speed * np.eye(int(d[0]))[0], 0.0)
@@ -60,9 +69,9 @@ def total_energy(body: Body, state: State) -> float:
 @pytest.mark.parametrize("mesh", BOXES.values(), ids=BOXES)
 def test_the_exact_stiffness_is_the_derivative_of_the_forces_wherever_the_body_is(mesh, stretches):
     d = mesh.dimension
-    F = turn(d, [1, -2, 0.5], 2.0) @ np.diag([*stretches[: d - 1], stretches[2]])
+    F = make_rotation(d, [1, -2, 0.5], 2.0) @ np.diag([*stretches[: d - 1], stretches[2]])
     x = mesh.points @ F.T + 0.02 * RNG.standard_normal(mesh.points.shape)
-    body = solid(mesh, **METHODS["polar"])
+    body = make_solid(mesh, **METHODS["polar"])
     assert (np.sign(np.linalg.det(deformation_gradient(mesh, x))) == np.sign(stretches[2])).all()
     K = body.pattern.matrix(body.linearize(x, kind="exact")[1]).toarray()
     step = 1e-6  # of cells of 1 m: errs by 1e-12 of the third derivative and by 1e-10 of rounding
@@ -125,7 +134,7 @@ def test_the_potential_never_increases(d, speed, tangent):
 def test_a_step_of_backward_euler_ends_below_the_energy_before_it(d, speed):
     """U_{n+1} + |v_{n+1} - v_n|_M^2 / 2 <= E_n, with the dead load's potential in U."""
     body, start = throw_beam(d, speed)
-    states = motion(body, DT, 15, start.v, iterations="converged")
+    states = list_states(body, DT, 15, start.v, iterations="converged")
     for a, b in pairwise(states):
         change = b.v - a.v
         U = total_energy(body, State(0, b.x, 0 * b.v))
@@ -140,7 +149,7 @@ def test_a_step_from_inverted_cells_is_bounded_by_the_energy_before_it_too(d, ki
     x = X * ([-0.7] + [1.0] * (int(d[0]) - 1)) if kind == "upside_down" else X + RNG.uniform(-1, 1, X.shape)
     start = State(0, np.where(n, x, X), start.v)
     assert (np.linalg.det(deformation_gradient(body.mesh, start.x)) < 0).any()
-    end, _ = stepper(body, DT, iterations="converged").step(start)
+    end, _ = prepare_stepper(body, DT, iterations="converged").step(start)
     change = end.v - start.v
     U = total_energy(body, State(0, end.x, 0 * end.v))
     assert U + (change * body.momentum(change)).sum() / 2 <= total_energy(body, start) * (1 + 1e-12)
@@ -165,18 +174,18 @@ def test_the_iteration_stops_at_the_first_residual_below_the_tolerance(d, tolera
 @BEAM
 def test_every_iteration_is_one_factor_and_one_solve_and_a_body_at_rest_needs_none(d):
     body, state = throw_beam(d)
-    _, report = stepper(body, DT, iterations="converged").step(state)
+    _, report = prepare_stepper(body, DT, iterations="converged").step(state)
     work, n = report.work, report.work.iterations
     assert 2 <= n <= 15
     assert (work.steps, work.solves, work.factorizations) == (1, n, n)
-    free = solid(body.mesh, **METHODS["polar"])
-    resting, report = stepper(free, DT, iterations="converged").step(State(0, body.mesh.points, 0 * state.v))
+    free = make_solid(body.mesh, **METHODS["polar"])
+    resting, report = prepare_stepper(free, DT, iterations="converged").step(State(0, body.mesh.points, 0 * state.v))
     assert report == StepReport(Work(steps=1)) and np.array_equal(resting.x, body.mesh.points)
 
 
 def test_the_iteration_cap_is_an_error_that_names_number_residual_step_and_time(tmp_path):
     method = {"iterations": "converged", "max_iterations": 2, "tolerance": 1e-12}
-    violent = built(tmp_path, method=method, initial={"velocity": [0.0, 0.0, -20.0]})
+    violent = build_problem(tmp_path, method=method, initial={"velocity": [0.0, 0.0, -20.0]})
     said = r"^Newton did not reach 1e-12 in 2 iterations \(residual [\d.e-]+\); .* \(at step 1, t = 0\.02 s\)$"
     with pytest.raises(SolveError, match=said) as caught:
         list(frames(violent))
@@ -185,12 +194,18 @@ def test_the_iteration_cap_is_an_error_that_names_number_residual_step_and_time(
 
 def test_a_rotation_without_a_potential_cannot_be_converged(tmp_path):
     with pytest.raises(CaseError, match=r"method\.iterations: 'converged' needs a potential.*gram_schmidt.*polar"):
-        built(tmp_path, "gram_schmidt", method={"iterations": "converged"})
+        build_problem(tmp_path, "gram_schmidt", method={"iterations": "converged"})
 
 
 def test_a_linear_body_is_converged_after_its_one_solve(tmp_path):
     method = {"iterations": "converged"}
-    assert [f.known["newton_iterations"] for f in frames(built(tmp_path, "linear", method=method))] == [0, 1, 1, 1, 1]
+    assert [f.known["newton_iterations"] for f in frames(build_problem(tmp_path, "linear", method=method))] == [
+        0,
+        1,
+        1,
+        1,
+        1,
+    ]
 
 
 # measured: principal axes take 2 to 4 iterations from the predictor (49 to 83 from x_n). Else the body tumbles: the
@@ -200,9 +215,9 @@ def test_a_linear_body_is_converged_after_its_one_solve(tmp_path):
 )
 @pytest.mark.parametrize("split", ["kuhn", "alternating"])
 def test_a_spin_of_50_rad_a_step_converges_and_keeps_the_volume(split, axis, iterations):
-    body = solid(box((4.0, 12.0, 4.0), (2, 8, 2), split), **METHODS["polar"])
-    v = spin(body, 10.0 * np.array(axis) / np.linalg.norm(axis))
-    prepared, state = stepper(body, 5.0, iterations="converged"), State(0, body.mesh.points, v)
+    body = make_solid(box((4.0, 12.0, 4.0), (2, 8, 2), split), **METHODS["polar"])
+    v = make_spin(body, 10.0 * np.array(axis) / np.linalg.norm(axis))
+    prepared, state = prepare_stepper(body, 5.0, iterations="converged"), State(0, body.mesh.points, v)
     for _ in range(4):
         state, report = prepared.step(state)
         J = np.linalg.det(deformation_gradient(body.mesh, state.x))
@@ -215,9 +230,9 @@ def test_a_spin_of_50_rad_a_step_converges_and_keeps_the_volume(split, axis, ite
 def test_near_rest_good_steps_are_not_halved_for_rounding_of_the_energy(d, seed):
     """Otherwise steps are halved for digits that the energy does not have: 20 iterations or more, or an error."""
     mesh = box((4.0, 12.0, 4.0), (2, 8, 2)) if d == 3 else rectangle((4.0, 12.0), (2, 8))
-    body = solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), **METHODS["polar"])
+    body = make_solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), **METHODS["polar"])
     away = np.random.default_rng(seed).uniform(-0.4, 0.4, mesh.points.shape)
-    prepared = stepper(body, 0.07, iterations="converged")
+    prepared = prepare_stepper(body, 0.07, iterations="converged")
     state = State(0, mesh.points + np.where(body.free_mask[:, None], away, 0.0), 0 * away)
     for _ in range(60):
         state, report = prepared.step(state)
@@ -233,4 +248,4 @@ def test_a_descent_that_finds_no_lower_energy_says_so(monkeypatch):
     monkeypatch.setattr(Converged, "_search", lambda self, terms, slope, stage: None)
     said = r"^Newton did not reach 1e-09 in 1 iterations \(residual .*\); no step lowers the energy .* a stiffer body$"
     with pytest.raises(SolveError, match=said):
-        stepper(body, DT, iterations="converged").step(state)
+        prepare_stepper(body, DT, iterations="converged").step(state)

@@ -7,20 +7,20 @@ from pipeline.fem.loads import body_force
 from pipeline.fem.material import Material
 from pipeline.mesh.shapes import box
 from pipeline.mesh.simplex import Mesh
-from tests.bodies import BOXES, METHODS, motion, solid, spin, thesis_bar
+from tests.bodies import BOXES, METHODS, list_states, make_solid, make_spin, make_thesis_bar
 
 ORDERS = {"xyz": [0, 1, 2], "yzx": [1, 2, 0], "zxy": [2, 0, 1]}
 
 
 def tip_deflection(order: list[int], method: dict[str, str]) -> float:
     """Mean |u_z|, in the original axes, of the thesis bar's 9 tip nodes after 30 steps, its axes permuted."""
-    bar = thesis_bar()
+    bar = make_thesis_bar()
     mesh = Mesh(bar.points[:, order], bar.cells)
     held, tip = (np.flatnonzero(bar.points[:, 1] == y) for y in (12.0, 0.0))
     load = body_force(mesh, 1000.0 * np.array([0.0, 0.0, -9.81])[order])
-    body = solid(mesh, held=held, load=load, material=Material(1e7, 0.33, 1000.0), **method)
+    body = make_solid(mesh, held=held, load=load, material=Material(1e7, 0.33, 1000.0), **method)
     v = np.where(body.free_mask[:, None], np.array([0.0, 0.0, -40.0])[order], 0.0)
-    end = motion(body, 0.07, 30, v)[-1]
+    end = list_states(body, 0.07, 30, v)[-1]
     return float(np.abs((end.x - mesh.points)[tip, order.index(2)]).mean())
 
 
@@ -38,7 +38,7 @@ def test_permuting_the_axes_changes_gram_schmidt_only(name, wanted):
 def angular_momenta(method: dict[str, str], stretch: float, steps: int) -> np.ndarray:
     """L (steps + 1, 3) of a free bar spun at 3 rad/s, by symplectic Euler below its limit (1.6e-3 s here)."""
     mesh = box((4.0, 12.0, 4.0), (1, 4, 1))
-    body = solid(mesh, mass="lumped", **method)
+    body = make_solid(mesh, mass="lumped", **method)
     m, dt = body.lumped_mass[:, None], 8e-4
     x = mesh.points * [1.0, 1.0 + stretch, 1.0]
     v = np.cross([0.0, 0.0, 3.0], x - x.mean(axis=0))
@@ -64,9 +64,9 @@ def test_gram_schmidt_forces_turn_a_stretched_bar_by_themselves():
 @pytest.mark.parametrize("mesh", BOXES.values(), ids=BOXES)
 def test_linear_forces_keep_the_angular_momentum_about_the_rest_shape_and_not_the_true_one(mesh):
     """Sum of X x M v is conserved, since K does not change under a small rotation; the sum of x x M v is not."""
-    body = solid(mesh)
-    v = spin(body, np.array([0.0, 0.0, 5.0])) + 5 * np.random.default_rng(5).standard_normal(mesh.points.shape)
-    states = motion(body, 0.02, 20, v)
+    body = make_solid(mesh)
+    v = make_spin(body, np.array([0.0, 0.0, 5.0])) + 5 * np.random.default_rng(5).standard_normal(mesh.points.shape)
+    states = list_states(body, 0.02, 20, v)
     about = {"rest": [], "true": []}
     for s in states:
         p = body.momentum(s.v)
@@ -80,9 +80,9 @@ def test_linear_forces_keep_the_angular_momentum_about_the_rest_shape_and_not_th
 @pytest.mark.parametrize("name", ["polar", "gram_schmidt"])
 def test_one_solve_keeps_angular_momentum_only_roughly(name):
     """Its forces belong to no position; measured: a few percent in 20 steps of 1/20 rad."""
-    mesh = thesis_bar()
-    body = solid(mesh, **METHODS[name])
-    states = motion(body, 0.05, 20, spin(body, np.array([0.0, 0.0, 1.0])))
+    mesh = make_thesis_bar()
+    body = make_solid(mesh, **METHODS[name])
+    states = list_states(body, 0.05, 20, make_spin(body, np.array([0.0, 0.0, 1.0])))
     L = np.array([np.cross(s.x, body.momentum(s.v)).sum(axis=0) for s in states])
     kept = L[-1, 2] / L[0, 2]
     assert kept == pytest.approx(1.0, abs=0.1) and abs(kept - 1) > 1e-8

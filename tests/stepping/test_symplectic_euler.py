@@ -18,7 +18,17 @@ from pipeline.problem.methods import STEP_LIMITS
 from pipeline.run.frame_iterator import frames
 from pipeline.stepping.state import State
 from pipeline.stepping.symplectic_euler import SymplecticEuler, element_limit, true_limit
-from tests.bodies import METHODS, PLANAR, built, clamped_bar, motion, solid, spin, stepper, thesis_bar
+from tests.bodies import (
+    METHODS,
+    PLANAR,
+    build_problem,
+    make_clamped_bar,
+    make_solid,
+    make_spin,
+    make_thesis_bar,
+    prepare_stepper,
+    run_steps,
+)
 
 RNG = np.random.default_rng(12)
 EXPLICIT = {"stepper": "symplectic_euler"}
@@ -27,8 +37,8 @@ THIN = rectangle((4.0, 12.0), (2, 8))  # the bar in the plane
 
 def clamp_beam(d: int, **keywords: object) -> Body:
     if d == 3:
-        return clamped_bar(mass="lumped", **keywords)
-    return solid(THIN, held=np.flatnonzero(THIN.points[:, 1] == 12.0), mass="lumped", **keywords)
+        return make_clamped_bar(mass="lumped", **keywords)
+    return make_solid(THIN, held=np.flatnonzero(THIN.points[:, 1] == 12.0), mass="lumped", **keywords)
 
 
 def iterate_states(body: Body, dt: float, x: np.ndarray, v: np.ndarray, steps: int) -> Iterator[State]:
@@ -66,7 +76,7 @@ RIGHT = [[0.0, 0], [1, 0], [0, 1]]
 def test_a_cell_alone_is_limited_by_the_time_sound_takes_along_its_shortest_edge(corners, wanted):
     mesh = Mesh(np.array(corners), np.arange(len(corners))[None])
     edges = np.linalg.norm(mesh.points[:, None] - mesh.points, axis=-1)
-    body = solid(mesh, material=Material(9.0, 0.0, 4.0), mass="lumped")
+    body = make_solid(mesh, material=Material(9.0, 0.0, 4.0), mass="lumped")
     found = element_limit(body) * body.material.wave_speed / edges[edges > 0].min()
     assert found == pytest.approx(wanted, abs=5e-5)
     assert true_limit(body) == pytest.approx(element_limit(body), rel=1e-9)
@@ -75,7 +85,7 @@ def test_a_cell_alone_is_limited_by_the_time_sound_takes_along_its_shortest_edge
 @pytest.mark.parametrize(("height", "wanted"), [(1.0, 0.450), (0.1, 0.0742), (0.01, 0.00745), (0.001, 0.000745)])
 def test_a_sliver_is_limited_by_its_height(height, wanted):
     mesh = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, height]]), np.arange(4)[None])
-    body = solid(mesh, material=Material(1.0, 0.3, 1.0), mass="lumped")
+    body = make_solid(mesh, material=Material(1.0, 0.3, 1.0), mass="lumped")
     assert element_limit(body) == pytest.approx(wanted, rel=1.2e-3)  # three digits are given
     assert true_limit(body) == pytest.approx(element_limit(body), rel=1e-6)
 
@@ -89,7 +99,7 @@ def test_the_bound_over_cells_is_below_the_limit_of_the_dense_matrices(d, held):
         "one end": np.flatnonzero(mesh.points[:, 1] == 0.0),
         "all but one node": range(1, len(mesh.points)),
     }
-    body = solid(mesh, held=nodes[held], mass="lumped", **METHODS["polar"])
+    body = make_solid(mesh, held=nodes[held], mass="lumped", **METHODS["polar"])
     free = (d * body.free[:, None] + np.arange(d)).ravel()
     K = body.pattern.matrix(body.linearize(mesh.points)[1]).toarray()[np.ix_(free, free)]
     root = np.sqrt(np.repeat(body.lumped_mass, d)[free])
@@ -123,15 +133,15 @@ def test_a_step_above_the_limit_is_refused_with_both_limits(tmp_path):
         "supports": [{"plane": "y", "at": 12.0}],
     }
     bar["material"] = {"youngs_modulus": 1e8, "poisson_ratio": 0.33, "density": 1000.0}
-    built(tmp_path, method=EXPLICIT, schedule={"dt": 2.89e-3, "frames": 1}, **bar)
+    build_problem(tmp_path, method=EXPLICIT, schedule={"dt": 2.89e-3, "frames": 1}, **bar)
     said = r"schedule\.dt: 0\.0029 is above the limit of symplectic_euler: 0\.002895 s for this body, 0\.002171 s by"
     with pytest.raises(CaseError, match=said):
-        built(tmp_path, method=EXPLICIT, schedule={"dt": 2.9e-3, "frames": 1}, **bar)
+        build_problem(tmp_path, method=EXPLICIT, schedule={"dt": 2.9e-3, "frames": 1}, **bar)
 
 
 @pytest.mark.parametrize("sections", [{}, PLANAR], ids=["3D", "2D"])
 def test_the_limit_itself_is_computed_only_above_the_bound_over_cells(tmp_path, monkeypatch, sections):
-    body = built(tmp_path, **sections).body
+    body = build_problem(tmp_path, **sections).body
     below, above = element_limit(body), true_limit(body)
     assert below < 0.95 * above
     calls = []
@@ -141,33 +151,33 @@ def test_the_limit_itself_is_computed_only_above_the_bound_over_cells(tmp_path, 
         return true_limit(body)
 
     monkeypatch.setitem(STEP_LIMITS, "symplectic_euler", (element_limit, count_call))  # type: ignore[arg-type]  # Mapping to the reader
-    built(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * below, "frames": 1}, **sections)
+    build_problem(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * below, "frames": 1}, **sections)
     assert not calls
-    built(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * above, "frames": 1}, **sections)
+    build_problem(tmp_path, method=EXPLICIT, schedule={"dt": 0.999 * above, "frames": 1}, **sections)
     assert len(calls) == 1
 
 
 def test_a_written_consistent_mass_is_refused_and_an_inherited_one_lumped_with_a_note(tmp_path):
     schedule = {"dt": 1e-4, "frames": 1}
     with pytest.raises(CaseError, match=r"method\.mass: symplectic_euler needs 'lumped'"):
-        built(tmp_path, method=EXPLICIT | {"mass": "consistent"}, schedule=schedule)
+        build_problem(tmp_path, method=EXPLICIT | {"mass": "consistent"}, schedule=schedule)
     with pytest.raises(CaseError, match="symplectic_euler needs 'lumped'"):
         variants = {"polar": {"method.stepper": "symplectic_euler", "method.mass": "consistent"}}
-        built(tmp_path, variants=variants, schedule=schedule)
+        build_problem(tmp_path, variants=variants, schedule=schedule)
     variants = {"polar": {"method.stepper": "symplectic_euler"}}
     for method in (None, {"mass": "consistent"}):
-        one = built(tmp_path, variants=variants, method=method, schedule=schedule)
+        one = build_problem(tmp_path, variants=variants, method=method, schedule=schedule)
         assert one.method.mass == "lumped" and any("lumped" in note for note in one.notes)
         assert one.body.momentum(np.ones((16, 3))) == pytest.approx(one.body.lumped_mass[:, None] * np.ones((16, 3)))
-    assert not built(tmp_path, method=EXPLICIT | {"mass": "lumped"}, schedule=schedule).notes
+    assert not build_problem(tmp_path, method=EXPLICIT | {"mass": "lumped"}, schedule=schedule).notes
 
 
 @pytest.mark.parametrize("stretch", [0.0, 0.1])
 @pytest.mark.parametrize("mesh", [THIN, box((4.0, 12.0, 4.0), (1, 4, 1))], ids=["2D", "3D"])
 def test_polar_keeps_the_angular_momentum_of_a_free_body_to_rounding(mesh, stretch):
-    body = solid(mesh, mass="lumped", **METHODS["polar"])
+    body = make_solid(mesh, mass="lumped", **METHODS["polar"])
     x = mesh.points * np.array([1.0, 1.0 + stretch, 1.0])[: mesh.dimension]
-    v = spin(body, np.array([1.0, 0.5, 3.0])) * np.array([1.0, 1.0 + stretch, 1.0])[: mesh.dimension]
+    v = make_spin(body, np.array([1.0, 0.5, 3.0])) * np.array([1.0, 1.0 + stretch, 1.0])[: mesh.dimension]
     start = angular_momentum(body, State(0, x, v))
     run = iterate_states(body, true_limit(body) / 2, x, v, 2000)
     # 2000 sums over the nodes, each rounded to 1e-16 of its terms: measured 1e-15 to 9e-15
@@ -176,11 +186,11 @@ def test_polar_keeps_the_angular_momentum_of_a_free_body_to_rounding(mesh, stret
 
 def test_gram_schmidt_loses_the_angular_momentum_of_a_stretched_bar_but_not_of_a_relaxed_one():
     """About the bar's own axis; measured: -6.0 of it are left after 2000 steps, and none after 900; relaxed: 3e-4."""
-    body = solid(thesis_bar(), mass="lumped", **METHODS["gram_schmidt"])
+    body = make_solid(make_thesis_bar(), mass="lumped", **METHODS["gram_schmidt"])
     lost = {}
     for stretch in (0.0, 0.1):
         x = body.mesh.points * [1.0, 1.0 + stretch, 1.0]
-        v = spin(body, np.array([0.0, 3.0, 0.0]))
+        v = make_spin(body, np.array([0.0, 3.0, 0.0]))
         kept = [angular_momentum(body, s)[1] for s in iterate_states(body, true_limit(body) / 2, x, v, 2000)]
         lost[stretch] = 1 - min(kept) / angular_momentum(body, State(0, x, v))[1]
     assert lost[0.1] > 0.5 and lost[0.0] < 1e-2
@@ -189,9 +199,9 @@ def test_gram_schmidt_loses_the_angular_momentum_of_a_stretched_bar_but_not_of_a
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_free_body_keeps_its_linear_momentum_and_falls_as_the_formula_says(d):
     """x = x0 + v0 t + g t (t + dt)/2."""
-    mesh = THIN if d == 2 else thesis_bar()
+    mesh = THIN if d == 2 else make_thesis_bar()
     g, v0, dt = np.array([1.0, -9.81, 2.0])[:d], np.array([1.0, -2.0, 3.0])[:d], 1e-3
-    body = solid(mesh, load=1000.0 * mesh.node_volumes[:, None] * g, mass="lumped", **METHODS["polar"])
+    body = make_solid(mesh, load=1000.0 * mesh.node_volumes[:, None] * g, mass="lumped", **METHODS["polar"])
     noise = RNG.standard_normal(mesh.points.shape)
     *_, last = iterate_states(body, dt, mesh.points, np.tile(v0, (len(mesh.points), 1)) + noise, 500)
     t, m = 500 * dt, body.lumped_mass
@@ -245,7 +255,7 @@ def test_a_step_builds_no_matrix_and_extracts_rotations_once(matrices, d, method
 
 @pytest.mark.parametrize("sections", [{}, PLANAR], ids=["3D", "2D"])
 def test_a_whole_explicit_run_builds_no_matrix(matrices, tmp_path, sections):
-    one = built(tmp_path, method=EXPLICIT, schedule={"dt": 1e-4, "frames": 3}, **sections)
+    one = build_problem(tmp_path, method=EXPLICIT, schedule={"dt": 1e-4, "frames": 3}, **sections)
     assert one.dt < element_limit(one.body)
     list(frames(one))
     assert not matrices
@@ -256,7 +266,7 @@ def test_explicit_and_implicit_runs_converge_to_each_other():
     v = np.where(body.free_mask[:, None], [0.0, 0.0, -20.0], 0.0)
     dt = 1e-3
     *_, explicit = iterate_states(body, dt, body.mesh.points, v, 100)
-    implicit = motion(body, dt, 100, v, stepper="bdf2")[-1]
+    implicit = run_steps(body, dt, 100, v, stepper="bdf2")[-1]
     moved = np.abs(implicit.x - body.mesh.points).max()
     assert np.abs(explicit.x - implicit.x).max() < 0.01 * moved  # errors of order dt omega_1 = .01
 
@@ -265,5 +275,5 @@ def test_the_guarded_stepper_of_the_table_makes_the_same_steps():
     body = clamp_beam(3, **METHODS["polar"])
     v = np.where(body.free_mask[:, None], [0.0, 0.0, -20.0], 0.0)
     *_, bare = iterate_states(body, 1e-3, body.mesh.points, v, 20)
-    guarded = motion(body, 1e-3, 20, v, **EXPLICIT)[-1]
-    assert np.array_equal(bare.x, guarded.x) and stepper(body, 1e-3, **EXPLICIT).dt == 1e-3
+    guarded = run_steps(body, 1e-3, 20, v, **EXPLICIT)[-1]
+    assert np.array_equal(bare.x, guarded.x) and prepare_stepper(body, 1e-3, **EXPLICIT).dt == 1e-3

@@ -28,7 +28,7 @@ from pipeline.studies.thesis.report import find_kind, make_report
 from pipeline.studies.thesis.verbal_claims import TESTS as STATEMENT_TESTS
 from pipeline.studies.thesis.verdicts import judge, judge_number
 from pipeline.views.html.blocks import Heading, Paragraph, Picture, TableBlock, render_html, render_markdown
-from tests.bodies import METHODS, motion, solid, spin, thesis_bar
+from tests.bodies import METHODS, list_states, make_solid, make_spin, make_thesis_bar
 
 NUMBER = PublishedNumber("bar: largest volume", "2.0", 2.0, 0.02, "T 1.2", "bar", "linear", "largest_volume")
 SECTIONS = (
@@ -124,11 +124,11 @@ def test_what_is_published_refers_to_what_there_is():
 @pytest.mark.parametrize("dt", [0.01, 0.3])
 def test_a_homogeneous_rotation_obeys_the_law_exactly(axis, dt):
     """Linear: every step of a free spin; one solve: its first step, before which it has no strain."""
-    mesh = thesis_bar()
+    mesh = make_thesis_bar()
     omega = np.array(axis) * 1.5
     for name, steps, sources in (("linear", 5, [0] * 5), ("polar", 1, [0])):
-        body = solid(mesh, **METHODS[name])
-        states = motion(body, dt, steps, spin(body, omega))
+        body = make_solid(mesh, **METHODS[name])
+        states = list_states(body, dt, steps, make_spin(body, omega))
         for source, state in zip(sources, states[1:], strict=True):
             growth = growth_between(mesh, states[source].x, state.x)
             assert growth.over_law == pytest.approx(1.0, abs=1e-9)

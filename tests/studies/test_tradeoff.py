@@ -46,7 +46,7 @@ from pipeline.studies.tradeoff.settings import (
 from pipeline.studies.tradeoff.study import study_tradeoff
 from pipeline.studies.tradeoff.table import ErrorTable, SettingRow
 from pipeline.studies.tradeoff.verdict import describe_choice, find_cheapest, find_front, judge_auto, split_error
-from tests.bodies import PLANAR, assert_conventional, case_document, clamped_bar, write_case
+from tests.bodies import PLANAR, assert_conventional, case_document, make_clamped_bar, write_case
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -174,7 +174,7 @@ def test_deviations_of_known_motions():
 
 
 def test_amplitude_and_phase_of_the_first_mode():
-    body = clamped_bar()
+    body = make_clamped_bar()
     mode = find_first_mode(body)
     assert isinstance(mode, FirstMode) and mode.omega == pytest.approx(10.424, rel=1e-3)
     shape = np.zeros_like(body.mesh.points)

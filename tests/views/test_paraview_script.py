@@ -10,7 +10,7 @@ from pipeline.case import load_case
 from pipeline.results.case_run import run_case
 from pipeline.views import camera
 from pipeline.views.paraview import SCRIPT_NAME, write_script
-from tests.bodies import without_figures, write_case
+from tests.bodies import skip_figures, write_case
 
 
 def read_values(script):
@@ -28,7 +28,7 @@ def read_values(script):
 
 @pytest.mark.parametrize(("name", "index"), [("vtu", "series.pvd"), ("vtkhdf", "series.vtkhdf")])
 def test_each_run_leaves_a_script_that_names_its_variants_by_relative_paths(tmp_path, monkeypatch, name, index):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     result = run_case(load_case(write_case(tmp_path, output={"format": name})), tmp_path / "out", movie=False)
     script = result.folder / SCRIPT_NAME
     values = read_values(script)

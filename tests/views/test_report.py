@@ -28,7 +28,7 @@ from pipeline.views.html import solids as web_solids
 from pipeline.views.html import worst as web_worst
 from pipeline.views.html.curves import choose_times, collect_curves
 from pipeline.views.html.worst import find_worst_cells
-from tests.bodies import PLANAR, without_figures, write_case
+from tests.bodies import PLANAR, skip_figures, write_case
 
 TITLE = 'A <b>bar</b> & "more" </script><script>alert(1)</script>'
 VOID = frozenset("meta input img br link".split())
@@ -40,7 +40,7 @@ def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("page")
     case = load_case(write_case(place, movie={"title": TITLE}))
     with pytest.MonkeyPatch.context() as patch:
-        without_figures(patch)
+        skip_figures(patch)
         return run_case(case, place / "outputs", movie=False).folder
 
 
@@ -195,7 +195,7 @@ def test_movies_lie_inside_or_beside_the_page(folder, monkeypatch):
 
 
 def test_a_variant_that_failed_and_one_that_is_missing(tmp_path, monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     case = load_case(write_case(tmp_path))
     folder = run_case(case, tmp_path / "outputs", variants=["linear"], movie=False).folder
     run = folder / "linear" / "run.json"
@@ -212,14 +212,14 @@ def test_a_variant_that_failed_and_one_that_is_missing(tmp_path, monkeypatch):
 
 
 def test_bodies_in_the_plane(tmp_path, monkeypatch):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     case = load_case(write_case(tmp_path, **PLANAR, supports=[{"plane": "y", "at": 3.0}]))
     text = write_report(run_case(case, tmp_path / "outputs", movie=False).folder).read_text(encoding="utf-8")
     assert "series of 24 triangles" in text and read_data(text)["energy"] == "J/m"
 
 
 def test_the_page_of_anybodys_series(folder, tmp_path, monkeypatch, capsys):
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     one = read_series(folder / "linear")
     path = write_analysis_report(analyze(one, tmp_path / "one"), [one], "pipeline analyze x")
     text = path.read_text(encoding="utf-8")
@@ -269,7 +269,7 @@ def test_a_folder_without_a_result_is_a_message_of_one_line(tmp_path, capsys):
 
 def test_the_result_folder_of_a_case_with_a_mesh_file_is_recognized(tmp_path, monkeypatch, project_root):
     """Seen from there the file has another name; a page and a movie of such a folder were refused."""
-    without_figures(monkeypatch)
+    skip_figures(monkeypatch)
     (tmp_path / "meshes").mkdir()
     mesh = pyvista.ImageData(dimensions=(2, 2, 2)).to_tetrahedra()
     for name in ("cube.vtu", "other.vtu"):

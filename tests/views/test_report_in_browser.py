@@ -11,7 +11,7 @@ from pipeline.case import load_case
 from pipeline.results.case_run import run_case
 from pipeline.results.report import write_report
 from pipeline.views.movie.encoder import Encoder
-from tests.bodies import without_figures, write_case
+from tests.bodies import skip_figures, write_case
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 FOCUSED = "document.activeElement.id || document.activeElement.getAttribute('class') || document.activeElement.tagName"
@@ -25,7 +25,7 @@ def report(tmp_path_factory):
     variants = {"linear": {"method.law": "linear"}, "polar": {}}
     case = load_case(write_case(place, variants=variants, schedule={"dt": 0.02, "frames": 8}))
     with pytest.MonkeyPatch.context() as patch:
-        without_figures(patch)
+        skip_figures(patch)
         folder = run_case(case, place / "outputs", movie=False).folder
     with Encoder(folder / "comparison.mp4", (320, 180), 30) as film:
         for level in range(30):
