@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.errors import CaseError
 from pipeline.mesh.surface import boundary_faces, outward_areas
 from pipeline.run.frame_iterator import frames
-from tests.bodies import PLANAR, build_problem, motion
+from tests.bodies import PLANAR, build_problem, list_states
 
 STEPPERS = {
     "backward_euler": {"stepper": "backward_euler"},

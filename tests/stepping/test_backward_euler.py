@@ -23,12 +23,12 @@ from pipeline.stepping.state import State
 from tests.bodies import (
     BOXES,
     METHODS,
+    list_states,
     make_clamped_bar,
     make_solid,
     make_spin,
     make_thesis_bar,
     prepare_stepper,
-    run_steps,
 )
 
 RNG = np.random.default_rng(3)
@@ -53,7 +53,7 @@ def test_free_fall_is_its_closed_form(mesh, method, dt):
     d = mesh.dimension
     g, v0 = GRAVITY[-d:], np.array([1.0, -2.0, 3.0])[:d]
     body = make_solid(mesh, load=body_force(mesh, 1000.0 * g), **method)
-    last = run_steps(body, dt, 20, np.tile(v0, (len(mesh.points), 1)))[-1]
+    last = list_states(body, dt, 20, np.tile(v0, (len(mesh.points), 1)))[-1]
     t = 20 * dt
     wanted = v0 * t + g * t * (t + dt) / 2
     # rounding of K times the distance is multiplied by (omega_max dt)^2: 1e-11 at the last dt, 1e-8 at 3 s
@@ -71,7 +71,7 @@ def test_a_mode_decays_and_lags_as_backward_euler_says(mode, z):
     X, dual = body.mesh.points, body.momentum(shape)
     w = [
         omega * ((s.x - X) * dual).sum() + 1j * (s.v * dual).sum()
-        for s in run_steps(body, z / omega, 5, 0.3 * shape, X + 0.1 * shape)
+        for s in list_states(body, z / omega, 5, 0.3 * shape, X + 0.1 * shape)
     ]
     for before, after in pairwise(w):
         assert after * (1 + 1j * z) == pytest.approx(before, abs=1e-10 * abs(before))
@@ -91,7 +91,7 @@ def test_an_unforced_linear_step_loses_half_the_squares_of_its_changes(mesh, mas
     body = make_solid(mesh, held=[0, 1], mass=mass)
     K = body.pattern.matrix(body.linearize(mesh.points)[1])
     v = np.where(body.free_mask[:, None], RNG.standard_normal(mesh.points.shape), 0.0)
-    states = run_steps(body, 0.01, 20, v)
+    states = list_states(body, 0.01, 20, v)
     start = energy(body, states[0])
     for a, b in pairwise(states):
         dv, du = b.v - a.v, b.x - a.x
@@ -108,7 +108,7 @@ def test_a_free_linear_body_in_spin_swells_to_37_volumes(mesh, axis, steps):
     body = make_solid(mesh)
     omega = 10.0 * (np.array([0.0, 0.0, 1.0]) if mesh.dimension == 2 else np.array(axis))
     t = 6.0 / np.linalg.norm(omega)
-    last = run_steps(body, t / steps, steps, make_spin(body, omega))[-1]
+    last = list_states(body, t / steps, steps, make_spin(body, omega))[-1]
     J = np.linalg.det(deformation_gradient(mesh, last.x))
     assert pytest.approx(np.full(len(mesh.cells), 37.0), rel=1e-9) == J
 
@@ -117,7 +117,7 @@ def test_a_free_linear_body_in_spin_swells_to_37_volumes(mesh, axis, steps):
 def test_the_first_step_of_a_corotational_spin_swells_by_the_angle_of_one_step(d):
     """One solve uses the rotations it starts from: J = 1 + (omega dt)^2 after the first step."""
     body = make_solid(BOXES["triangles"] if d == 2 else make_thesis_bar(), **METHODS["polar"])
-    last = run_steps(body, 0.07, 1, make_spin(body, np.array([0.0, 0.0, 10.0])))[-1]
+    last = list_states(body, 0.07, 1, make_spin(body, np.array([0.0, 0.0, 10.0])))[-1]
     J = np.linalg.det(deformation_gradient(body.mesh, last.x))
     assert pytest.approx(np.full(len(J), 1 + 0.7**2), rel=1e-9) == J
 
@@ -128,7 +128,7 @@ def test_a_free_body_keeps_its_linear_momentum(mesh, method):
     body = make_solid(mesh, **method)
     v = 20 * RNG.standard_normal(mesh.points.shape)
     for iterations in (1, 3):
-        p = [body.momentum(s.v).sum(axis=0) for s in run_steps(body, 0.01, 20, v, iterations=iterations)]
+        p = [body.momentum(s.v).sum(axis=0) for s in list_states(body, 0.01, 20, v, iterations=iterations)]
         # rounding of sums of elastic forces, which are far above the momentum's own
         assert np.abs(np.array(p) - p[0]).max() < 1e-10 * np.abs(body.momentum(v)).sum()
 
@@ -138,7 +138,7 @@ def test_a_free_body_keeps_its_linear_momentum(mesh, method):
 def test_held_nodes_stay_to_the_bit(method, iterations):
     body = make_clamped_bar(**method)
     held = body.supports.nodes
-    for state in run_steps(body, 0.07, 5, throw(body), iterations=iterations)[1:]:
+    for state in list_states(body, 0.07, 5, throw(body), iterations=iterations)[1:]:
         assert np.array_equal(state.x[held], body.mesh.points[held]) and not state.v[held].any()
 
 
@@ -146,7 +146,7 @@ def test_held_nodes_stay_to_the_bit(method, iterations):
 def test_both_linear_solvers_give_the_same_motion(method):
     body = make_clamped_bar(**method)
     ends = [
-        run_steps(body, 0.07, 10, throw(body), linear_solver=name, linear_rtol=1e-12)[-1].x
+        list_states(body, 0.07, 10, throw(body), linear_solver=name, linear_rtol=1e-12)[-1].x
         for name in ("superlu", "cg")
     ]
     # residuals of 1e-12, times a condition number of 1e3 at this step, over ten steps
@@ -160,8 +160,8 @@ def test_another_numbering_of_the_nodes_changes_nothing(method):
     order = RNG.permutation(len(mesh.points))
     place = np.argsort(order)
     other = make_solid(Mesh(mesh.points[order], place[mesh.cells]), held=place[body.supports.nodes], **method)
-    x = run_steps(body, 0.07, 20, throw(body))[-1].x
-    y = run_steps(other, 0.07, 20, throw(other))[-1].x
+    x = list_states(body, 0.07, 20, throw(body))[-1].x
+    y = list_states(other, 0.07, 20, throw(other))[-1].x
     assert np.abs(y[place] - x).max() < 1e-10 * np.abs(x - mesh.points).max()
 
 
@@ -172,7 +172,7 @@ def test_many_frozen_passes_solve_the_implicit_equation(mesh):
     dt = 0.01
     residuals = []
     for passes in (1, 3, 40):
-        one = run_steps(body, dt, 1, v0, iterations=passes)[-1]
+        one = list_states(body, dt, 1, v0, iterations=passes)[-1]
         r = body.momentum(one.v - v0) - dt * body.force(mesh.points + dt * one.v)
         residuals.append(np.abs(r).max() / (dt * np.abs(body.force(mesh.points + dt * v0)).max()))
     assert residuals[0] > residuals[1] > residuals[2] and residuals[2] < 1e-11  # converges linearly
@@ -182,7 +182,7 @@ def test_one_solve_is_the_thesis_formula_with_corrected_signs():
     """(M + dt^2 K') v = M v_n + dt (f + f_el(x_n)), assembled densely."""
     load = body_force(make_thesis_bar(), 1000.0 * GRAVITY)
     body = make_clamped_bar(load=load, **METHODS["polar"])
-    state = run_steps(body, 0.07, 3, throw(body))[-1]
+    state = list_states(body, 0.07, 3, throw(body))[-1]
     f, K = body.linearize(state.x)
     M, K = (body.pattern.matrix(A).toarray() for A in (body.mass, K))
     free = (3 * body.free[:, None] + np.arange(3)).ravel()
@@ -197,7 +197,7 @@ def test_backward_euler_is_of_order_one_if_steps_resolve_the_motion():
     body = make_clamped_bar()
     found, shapes = lowest_frequencies(body)
     t = 0.4 / found[0]
-    ends = [run_steps(body, t / n, n, found[0] * shapes[0])[-1].x - body.mesh.points for n in (16, 32, 64)]
+    ends = [list_states(body, t / n, n, found[0] * shapes[0])[-1].x - body.mesh.points for n in (16, 32, 64)]
     exact = np.sin(0.4) * shapes[0]
     errors = [np.abs(end - exact).max() for end in ends]
     assert np.all(np.log2(np.array(errors[:-1]) / errors[1:]) > 0.9)
@@ -243,7 +243,7 @@ EVERY_WAY = [("symplectic_euler", {}), *product(("backward_euler", "bdf2"), WAYS
 @pytest.mark.parametrize(("name", "changes"), EVERY_WAY, ids=str)
 def test_copies_of_a_state_and_a_new_stepper_give_the_same_bits(name, changes):
     body, dt = make_clamped_bar(**METHODS["polar"]), 1e-4 if name == "symplectic_euler" else 0.07
-    states = run_steps(body, dt, 6, throw(body), stepper=name, **changes)
+    states = list_states(body, dt, 6, throw(body), stepper=name, **changes)
     prepared = prepare_stepper(body, dt, stepper=name, **changes)
     for before, after in pairwise(states):
         carried = {key: value.copy() for key, value in before.memory.stepper.items()}

@@ -22,12 +22,12 @@ from tests.bodies import (
     METHODS,
     PLANAR,
     build_problem,
+    list_states,
     make_clamped_bar,
     make_solid,
     make_spin,
     make_thesis_bar,
     prepare_stepper,
-    run_steps,
 )
 
 RNG = np.random.default_rng(12)
@@ -266,7 +266,7 @@ def test_explicit_and_implicit_runs_converge_to_each_other():
     v = np.where(body.free_mask[:, None], [0.0, 0.0, -20.0], 0.0)
     dt = 1e-3
     *_, explicit = iterate_states(body, dt, body.mesh.points, v, 100)
-    implicit = run_steps(body, dt, 100, v, stepper="bdf2")[-1]
+    implicit = list_states(body, dt, 100, v, stepper="bdf2")[-1]
     moved = np.abs(implicit.x - body.mesh.points).max()
     assert np.abs(explicit.x - implicit.x).max() < 0.01 * moved  # errors of order dt omega_1 = .01
 
@@ -275,5 +275,5 @@ def test_the_guarded_stepper_of_the_table_makes_the_same_steps():
     body = clamp_beam(3, **METHODS["polar"])
     v = np.where(body.free_mask[:, None], [0.0, 0.0, -20.0], 0.0)
     *_, bare = iterate_states(body, 1e-3, body.mesh.points, v, 20)
-    guarded = run_steps(body, 1e-3, 20, v, **EXPLICIT)[-1]
+    guarded = list_states(body, 1e-3, 20, v, **EXPLICIT)[-1]
     assert np.array_equal(bare.x, guarded.x) and prepare_stepper(body, 1e-3, **EXPLICIT).dt == 1e-3
