@@ -13,7 +13,7 @@ from pathlib import Path
 
 from benchmarks.peers import PEERS, list_installed, make_rival
 from pipeline import load_case
-from pipeline.cli.terminal import progress
+from pipeline.cli.terminal import show_progress
 from pipeline.errors import CaseError, PipelineError
 from pipeline.studies.scaling.rival import Rival
 from pipeline.studies.scaling.step_cost import METHODS
@@ -62,7 +62,7 @@ def measure(options: argparse.Namespace) -> Scaling:
         raise CaseError(f"--method {missing[0]}: is not installed: {INSTALL}")
     rivals = [] if options.no_baseline else [PLAIN_SCIPY]
     rivals += [make_rival(name) for name in names if name in PEERS]
-    with progress(options.quiet) as bars:
+    with show_progress(options.quiet) as bars:
         return study_scaling(
             [load_case(path) for path in options.cases],
             options.out,
