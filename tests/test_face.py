@@ -46,7 +46,19 @@ def test_objects_are_shown_on_one_line(tmp_path, monkeypatch):
     result = pipeline.run_case(str(case.path), str(tmp_path / "out"), variants=["polar"], movie=False)
     series = pipeline.read_series(str(result.folder / "polar"))
     frame = next(iter(series))
-    for shown in (case, problem, result, result.variants[0], series, frame, problem.body.mesh):
+    body = problem.body
+    for shown in (
+        case,
+        problem,
+        result,
+        result.variants[0],
+        series,
+        frame,
+        body,
+        body.mesh,
+        body.pattern,
+        body.supports,
+    ):
         assert "\n" not in repr(shown) and len(repr(shown)) < 300, type(shown)
     assert "<b>" in case._repr_html_() and "<" in series._repr_html_()
 

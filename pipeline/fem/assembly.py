@@ -13,7 +13,7 @@ from pipeline.arrays import Floats, Ints
 from pipeline.mesh.simplex import Mesh
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BlockPattern:
     """The blocks of a symmetric matrix of d x d blocks on and below its diagonal, in compressed rows.
 
@@ -25,6 +25,9 @@ class BlockPattern:
     indices: Ints
     dimension: int
     order: Ints
+
+    def __repr__(self) -> str:
+        return f"<BlockPattern: {self.nodes} rows, {self.blocks} blocks, {self.dimension}D>"
 
     @property
     def nodes(self) -> int:

@@ -23,7 +23,7 @@ from pipeline.fem.supports import Supports
 from pipeline.mesh.simplex import Mesh
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Body:
     """A body; `load` (n, d) [N] is the sum of constant dead loads, `varying_load` returns the others at a time [s].
 
@@ -36,6 +36,10 @@ class Body:
     load: Floats
     mass_model: MassModel
     varying_load: Callable[[float], Floats] | None = None
+
+    def __repr__(self) -> str:
+        held = len(self.supports.nodes)
+        return f"<{type(self).__name__} with law {type(self.law).__name__}, {held} held nodes: {self.mesh}>"
 
     @property
     def material(self) -> Material:

@@ -19,7 +19,7 @@ from pipeline.fem.supports import Supports
 from pipeline.mesh.simplex import Mesh
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CompiledBody(Body):
     """Equal to Body up to rounding; it sums over cells by kernels/tetrahedron.py or, in the plane, triangle.py."""
 
@@ -156,7 +156,7 @@ class CompiledBody(Body):
             self._tangent_kernels.add_rotation_stiffness(x, *self._cells, self._pairs, scale, CREASE, projected, A)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LinearBody(CompiledBody):
     """A body with the linear law: forces are K (X - x), with K summed over cells once."""
 

@@ -20,12 +20,15 @@ _NULL = 1e-14
 POLAR, GRAM_SCHMIDT, IDENTITY = 0, 1, 2  # the numbers by which compiled kernels know rotations
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rotation:
     """A method: `extract` returns rotations of F (e, d, d); `number` is that of its compiled kernel, if any."""
 
     extract: Callable[[Floats], Floats]
     number: int | None = None
+
+    def __repr__(self) -> str:
+        return f"<Rotation {self.extract.__name__}>"
 
 
 def _scale_entries(F: Floats) -> Floats:

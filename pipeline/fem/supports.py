@@ -61,12 +61,15 @@ class PrescribedMotion:
         return np.asarray(self.displacement(X, self.dt) / self.dt)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Supports:
     """Held nodes (k,), ascending, and the motions of some of them; the others stay at their rest positions."""
 
     nodes: Ints
     motions: Sequence[tuple[Ints, Motion]] = ()
+
+    def __repr__(self) -> str:
+        return f"<Supports: {len(self.nodes)} held nodes, {len(self.motions)} motions>"
 
     def positions(self, points: Floats, time: float) -> Floats:
         """Return the positions of `nodes` (k, d) at a time [s]."""
