@@ -1,4 +1,4 @@
-"""Every linear solver gives the same motion, and says so where a matrix is none that it can take."""
+"""All linear solvers give the same motion, and report matrices that they cannot solve."""
 
 import sys
 
@@ -31,7 +31,7 @@ def write_identities(rotations: np.ndarray) -> None:
     np.copyto(rotations, np.eye(3))
 
 
-def path(cases_folder, solver: str, variant: str, **keys: object) -> list[np.ndarray]:
+def run_bar(cases_folder, solver: str, variant: str, **keys: object) -> list[np.ndarray]:
     overrides = {"method.linear_solver": solver, "schedule.frames": 100, **keys}
     return [
         frame.x for frame in frames(build(load_case(cases_folder / "bar.toml", overrides=overrides).variant(variant)))
@@ -40,7 +40,7 @@ def path(cases_folder, solver: str, variant: str, **keys: object) -> list[np.nda
 
 @pytest.mark.parametrize("variant", ["linear", "gram_schmidt", "polar", "converged"])
 def test_all_solvers_give_the_same_trajectory(cases_folder, variant: str) -> None:
-    runs = {name: path(cases_folder, name, variant) for name in LINEAR_SOLVERS}
+    runs = {name: run_bar(cases_folder, name, variant) for name in LINEAR_SOLVERS}
     size = np.linalg.norm([4.0, 12.0, 4.0])
     for name, run in runs.items():
         apart = max(np.abs(a - b).max() for a, b in zip(run, runs["superlu"], strict=True))
@@ -50,8 +50,8 @@ def test_all_solvers_give_the_same_trajectory(cases_folder, variant: str) -> Non
 FACTORS = ["banded", "mkl", "cholmod", "superlu"]
 
 
-def only(monkeypatch, factor: str) -> None:
-    """Let nothing but this factor of the state at rest be there."""
+def allow_only(monkeypatch, factor: str) -> None:
+    """Make this factor of the rest state the only one available."""
     if factor != "banded":
         monkeypatch.setattr(warped, "_SMALL_BAND", 0.0)
         monkeypatch.setattr(warped, "_LARGE_BAND", 0.0)
@@ -63,86 +63,86 @@ def only(monkeypatch, factor: str) -> None:
 
 @pytest.mark.parametrize("factor", FACTORS)
 def test_warped_takes_one_factor_for_the_whole_run(cases_folder, monkeypatch, factor: str) -> None:
-    only(monkeypatch, factor)
+    allow_only(monkeypatch, factor)
     overrides = {"method.linear_solver": "warped", "schedule.frames": 10}
     run = frames(build(load_case(cases_folder / "bar.toml", overrides=overrides).variant("polar")))
     work = [frame.work for frame in run]
-    assert [one.factorizations for one in work] == [0, 1, *[0] * 9]
-    assert all(1 < one.linear_iterations < 60 for one in work[1:])
+    assert [step.factorizations for step in work] == [0, 1, *[0] * 9]
+    assert all(1 < step.linear_iterations < 60 for step in work[1:])
 
 
 @pytest.mark.parametrize("solver", ["warped", "multigrid"])
 @pytest.mark.parametrize(("keys", "most"), [({"method.iterations": "converged"}, 1), ({"method.model": "auto"}, 2)])
-def test_newton_and_auto_keep_that_factor_too(cases_folder, solver: str, keys: dict[str, object], most: int) -> None:
+def test_newton_and_auto_keep_this_factor_too(cases_folder, solver: str, keys: dict[str, object], most: int) -> None:
     overrides = {"method.linear_solver": solver, "schedule.frames": 10, **keys}
     work = [f.work for f in frames(build(load_case(cases_folder / "bar.toml", overrides=overrides).variant("polar")))]
-    assert sum(one.solves for one in work) > 10  # several in some steps
-    assert 1 <= sum(one.factorizations for one in work) <= most  # auto's linear rung has one of its own
+    assert sum(step.solves for step in work) > 10  # several in some steps
+    assert 1 <= sum(step.factorizations for step in work) <= most  # auto's linear rung has its own
 
 
 @pytest.mark.parametrize("factor", FACTORS)
 def test_warped_gives_the_same_with_every_factor(cases_folder, monkeypatch, factor: str) -> None:
-    expected = path(cases_folder, "superlu", "polar", **{"schedule.frames": 20})
-    only(monkeypatch, factor)
-    found = path(cases_folder, "warped", "polar", **{"schedule.frames": 20})
-    assert np.abs(found[-1] - expected[-1]).max() < 1e-5
+    expected = run_bar(cases_folder, "superlu", "polar", **{"schedule.frames": 20})
+    allow_only(monkeypatch, factor)
+    run = run_bar(cases_folder, "warped", "polar", **{"schedule.frames": 20})
+    assert np.abs(run[-1] - expected[-1]).max() < 1e-5
     pattern = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
     unit = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
     assert warped.factor_rest(SystemSettings(pattern, 1e-8, RestState(np.zeros((8, 3)), lambda: unit))).name == factor
 
 
-def test_the_choice_goes_by_size_stiffness_memory_and_what_is_installed(monkeypatch) -> None:
+def test_the_choice_depends_on_size_stiffness_memory_and_installed_libraries(monkeypatch) -> None:
     small = assemble_pattern(box([1.0, 1.0, 1.0], [1, 1, 1])).pattern
     large = assemble_pattern(box([1.0, 1.0, 1.0], [9, 9, 9])).pattern
 
     reasons: list[str] = []
 
-    def chosen(pattern, *, constant: bool, stiffness: float = 1e3) -> str:
+    def choose(pattern, *, constant: bool, stiffness: float = 1e3) -> str:
         name, reason = linear_solve.choose_solver(Band(pattern), constant=constant, stiffness=stiffness)
         assert "MB" in reason
         reasons.append(reason)
         return name
 
-    assert chosen(small, constant=True) == chosen(small, constant=False) == "banded"
-    assert chosen(large, constant=False) == chosen(large, constant=False, stiffness=2.0) == "warped"
+    assert choose(small, constant=True) == choose(small, constant=False) == "banded"
+    assert choose(large, constant=False) == choose(large, constant=False, stiffness=2.0) == "warped"
     monkeypatch.setattr(linear_solve, "_WARPED_BAND", 1.0)
-    assert chosen(large, constant=False) == "multigrid" and chosen(large, constant=False, stiffness=2.0) == "cg"
+    assert choose(large, constant=False) == "multigrid" and choose(large, constant=False, stiffness=2.0) == "cg"
     assert "more than 0.5, with warped 1; h omega_max is up to 1e+03" in reasons[-2]
     monkeypatch.setattr(linear_solve, "_CONSTANT_BAND", 1.0)
-    assert chosen(large, constant=True) == "pardiso"
+    assert choose(large, constant=True) == "pardiso"
     with monkeypatch.context() as small_machine:
         small_machine.setattr(linear_solve, "read_installed_bytes", lambda: 1e6)
-        assert chosen(large, constant=True) == "multigrid"
+        assert choose(large, constant=True) == "multigrid"
         assert " GB, more than half of the memory, 0.0005; " in reasons[-1]
     with monkeypatch.context() as few_steps:
         few_steps.setattr(linear_solve, "_PAID_FACTOR", 1e5)
-        assert chosen(large, constant=True) == "multigrid"
+        assert choose(large, constant=True) == "multigrid"
         assert " GB, more than 0.0001; " in reasons[-1]
     monkeypatch.setattr(linear_solve, "load_mkl", lambda: None)
     monkeypatch.setattr(linear_solve, "_CONSTANT_BAND_WITHOUT_MKL", 1.0)
-    assert chosen(large, constant=True) == "superlu"
+    assert choose(large, constant=True) == "superlu"
     monkeypatch.setattr(linear_solve, "_LU_BAND", 1.0)
-    assert chosen(large, constant=True) == "multigrid"
+    assert choose(large, constant=True) == "multigrid"
     assert "with superlu 1; MKL is not installed" in reasons[-1]
 
 
-def test_the_bound_of_the_frequencies_is_one(cases_folder) -> None:
+def test_the_frequency_bound_is_an_upper_bound(cases_folder) -> None:
     body = build(load_case(cases_folder / "bar.toml").variant("polar")).body
     highest = 2 / true_limit(body)
     assert highest <= body.frequency_bound < 4 * highest
 
 
-def test_pardiso_without_mkl_is_superlu_and_says_so(cases_folder, monkeypatch) -> None:
-    expected = path(cases_folder, "superlu", "polar", **{"schedule.frames": 3})
+def test_pardiso_without_mkl_is_superlu_with_a_note(cases_folder, monkeypatch) -> None:
+    expected = run_bar(cases_folder, "superlu", "polar", **{"schedule.frames": 3})
     for module in (pardiso, linear_solve, stage_solvers, problem_module):
         monkeypatch.setattr(module, "load_mkl", lambda: None)
-    found = path(cases_folder, "pardiso", "polar", **{"schedule.frames": 3})
-    assert np.array_equal(found[-1], expected[-1])
+    run = run_bar(cases_folder, "pardiso", "polar", **{"schedule.frames": 3})
+    assert np.array_equal(run[-1], expected[-1])
     case = load_case(cases_folder / "bar.toml", overrides={"method.linear_solver": "pardiso"})
     problem = build(case.variant("polar"))
     assert "superlu replaces it; to install it: pip install 'corotational-pipeline[mkl]'" in problem.notes[-1]
-    told = list_linear_solvers(problem.body, problem.dt, problem.method)
-    assert told == [{"name": "superlu", "reason": "the case names pardiso; MKL is not installed"}]
+    solvers = list_linear_solvers(problem.body, problem.dt, problem.method)
+    assert solvers == [{"name": "superlu", "reason": "the case names pardiso; MKL is not installed"}]
     with pytest.raises(SolveError, match=r"pip install 'corotational-pipeline\[mkl\]'"):
         Pardiso(SystemSettings(problem.body.free_pattern, 1e-8, NO_REST))
 
@@ -154,12 +154,12 @@ def test_an_indefinite_matrix_is_an_error(solver) -> None:
     good = np.where((pattern.rows == pattern.indices)[:, None, None], np.eye(3), 0.0)
     bad = good.copy()
     bad[0] = np.diag([1.0, 1.0, -1.0])
-    made = solver(SystemSettings(pattern, 1e-8, RestState(mesh.points, lambda: good)))
+    prepared = solver(SystemSettings(pattern, 1e-8, RestState(mesh.points, lambda: good)))
     b = np.zeros((8, 3))
     b[0, 2] = 1.0
     with pytest.raises(SolveError, match="not positive definite"):
-        made.update(bad, write_identities)
-        made.solve(b, 0 * b)
+        prepared.update(bad, write_identities)
+        prepared.solve(b, 0 * b)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -199,19 +199,19 @@ def test_a_band_holds_every_entry_once() -> None:
         ("polar", {"method.linear_solver": "warped"}, ["warped"]),
     ],
 )
-def test_a_run_says_which_solver_it_used_and_why(cases_folder, variant: str, keys: dict, names: list[str]) -> None:
+def test_a_run_names_its_solvers_with_reasons(cases_folder, variant: str, keys: dict, names: list[str]) -> None:
     problem = build(load_case(cases_folder / "bar.toml", overrides=keys).variant(variant))
-    told = list_linear_solvers(problem.body, problem.dt, problem.method)
-    assert [one["name"] for one in told] == names
-    for one in told:
-        named = {"cg": "the case names it", "warped": "the case names it; the factor at rest is banded"}
-        assert one["reason"] == named[names[0]] if "method.linear_solver" in keys else " MB, " in one["reason"]
+    solvers = list_linear_solvers(problem.body, problem.dt, problem.method)
+    assert [solver["name"] for solver in solvers] == names
+    for solver in solvers:
+        reasons = {"cg": "the case names it", "warped": "the case names it; the factor at rest is banded"}
+        assert solver["reason"] == reasons[names[0]] if "method.linear_solver" in keys else " MB, " in solver["reason"]
 
 
 @pytest.mark.parametrize("factor", ["banded", "mkl", "multigrid"])
 @pytest.mark.parametrize("dt", [1.0, 10.0, 100.0])
-def test_what_single_precision_loses_is_no_failure(tmp_path, monkeypatch, factor: str, dt: float) -> None:
-    """A free, stiff body in long steps: its mass alone keeps it in place, and is lost in single precision."""
+def test_the_loss_of_single_precision_does_not_fail_a_run(tmp_path, monkeypatch, factor: str, dt: float) -> None:
+    """A free, stiff body in long steps: only its mass makes the matrix definite, and single precision loses it."""
     case = tmp_path / "free.toml"
     case.write_text(
         'name = "free"\nmesh = {shape = "box", size = [1.0, 1.0, 1.0], cells = [4, 4, 4]}\n'
@@ -220,12 +220,12 @@ def test_what_single_precision_loses_is_no_failure(tmp_path, monkeypatch, factor
         f"schedule = {{dt = {dt}, frames = 2}}\n"
     )
 
-    def end(solver: str) -> np.ndarray:
+    def find_end(solver: str) -> np.ndarray:
         *_, last = frames(build(load_case(case, overrides={"method.linear_solver": solver})))
         return last.x
 
-    expected = end("banded")
+    expected = find_end("banded")
     if factor != "multigrid":
-        only(monkeypatch, factor)
-    found = end("multigrid" if factor == "multigrid" else "warped")
-    assert np.abs(found - expected).max() < 1e-5 * 2 * dt  # of the way: the system is that badly conditioned
+        allow_only(monkeypatch, factor)
+    x = find_end("multigrid" if factor == "multigrid" else "warped")
+    assert np.abs(x - expected).max() < 1e-5 * 2 * dt  # of the distance moved; ill-conditioned
