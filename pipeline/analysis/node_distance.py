@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.formats.netcdf import NetcdfVariable, add_variables
-from pipeline.run.measures import spatial
+from pipeline.run.measures import pad_to_space
 from pipeline.series.series import Series
 from pipeline.system.times import are_same_times
 
@@ -83,9 +83,9 @@ def write_node_distances(
             distance = np.linalg.norm(x - x0, axis=1)
             rms, worst = float(np.sqrt(np.mean(distance**2))), int(distance.argmax())
             moved = (x - s.mesh.points) - (x0 - first.mesh.points)
-            row = {"displacement_difference": spatial(moved), "node_distance_worst": distance[worst],
+            row = {"displacement_difference": pad_to_space(moved), "node_distance_worst": distance[worst],
                    "node_distance_rms": rms}  # fmt: skip
-            row["velocity_difference"] = np.nan if v is None or v0 is None else spatial(v - v0)
+            row["velocity_difference"] = np.nan if v is None or v0 is None else pad_to_space(v - v0)
             for name in names:
                 out[name][m, k] = row[name]
             now = NodeDistance(s.name, float(distance[worst]), s.layout.find_point(worst), time, rms, time)

@@ -16,7 +16,7 @@ from pipeline.mesh.simplex import quality
 from pipeline.problem.methods import STEP_LIMITS, find_traits
 from pipeline.problem.problem import Problem
 from pipeline.run.frame import Frame
-from pipeline.run.measures import measure, spatial
+from pipeline.run.measures import measure, pad_to_space
 from pipeline.stepping.state import State
 
 FILE = "failure.vtu"
@@ -92,10 +92,10 @@ class Failure:
     def write(self, folder: Path, message: str) -> None:
         """Write the state as failure.vtu, which no index lists; raises OutputError."""
         mesh, state = self.problem.body.mesh, self.state
-        rest = spatial(mesh.points)
+        rest = pad_to_space(mesh.points)
         point_data = {
-            "displacement": spatial(state.x - mesh.points),
-            "velocity": spatial(state.v),
+            "displacement": pad_to_space(state.x - mesh.points),
+            "velocity": pad_to_space(state.v),
             "speed": np.linalg.norm(state.v, axis=1),
         }
         cell_data = {
@@ -108,7 +108,7 @@ class Failure:
             "message": np.array([message.encode(errors="replace")]),
         }
         static = encode_static_parts(mesh.cells, rest)
-        write_whole(folder / FILE, encode_vtu(spatial(state.x), point_data, cell_data, field_data, static))
+        write_whole(folder / FILE, encode_vtu(pad_to_space(state.x), point_data, cell_data, field_data, static))
 
 
 def examine_failure(problem: Problem, state: State) -> Failure:

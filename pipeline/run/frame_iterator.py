@@ -12,7 +12,7 @@ from pipeline.fem.rotation import axial
 from pipeline.linear.work import Work
 from pipeline.problem.problem import Problem
 from pipeline.run.frame import Frame
-from pipeline.run.measures import STEPS, spatial
+from pipeline.run.measures import STEPS, pad_to_space
 from pipeline.stepping.report import Effort, StepReport
 from pipeline.stepping.state import State, Stepper
 
@@ -65,7 +65,7 @@ def _run_step(stepper: Stepper, state: State) -> tuple[State, StepReport]:
 
 
 def _make_frame(problem: Problem, state: State, effort: Effort, *, stepwise: bool) -> Frame:
-    known = dynamics(problem.body, state, state.step * problem.dt)
+    known = measure_dynamics(problem.body, state, state.step * problem.dt)
     known["newton_iterations"] = np.asarray(float(effort.work.iterations))
     return Frame(
         index=state.step // problem.steps_per_frame,
@@ -93,7 +93,7 @@ def _list_choices(effort: Effort, count: int) -> dict[str, Floats]:
     return whole | dict(zip(STEPS, steps.T.copy(), strict=True))
 
 
-def dynamics(body: Body, state: State, time: float) -> dict[str, Floats]:
+def measure_dynamics(body: Body, state: State, time: float) -> dict[str, Floats]:
     """Return the energies [J] and momenta of a state at a time [s], by the names of measures.VARIABLES."""
     p = body.momentum(state.v)
     xp = np.zeros((3, 3))  # sum_n x_n p_n^T, whose skew part is the sum of x_n x p_n
@@ -102,6 +102,6 @@ def dynamics(body: Body, state: State, time: float) -> dict[str, Floats]:
         "kinetic_energy": np.asarray(0.5 * np.vdot(state.v, p)),
         "elastic_energy": np.asarray(body.energy(state.x)),
         "potential_energy": np.asarray(-np.vdot(body.load_at(time), state.x - body.mesh.points)),
-        "linear_momentum": spatial(p.sum(axis=0)),
+        "linear_momentum": pad_to_space(p.sum(axis=0)),
         "angular_momentum": axial(xp.T - xp),
     }

@@ -66,29 +66,29 @@ AXES = ("x", "y", "z")
 _PLANAR_UNITS = {"m3": "m2", "J": "J m-1", "kg m s-1": "kg s-1", "kg m2 s-1": "kg m s-1"}
 
 
-def units(name: str, dimension: int) -> str:
+def get_units(name: str, dimension: int) -> str:
     """Return the unit of a variable for a body of that dimension; a planar one has unit thickness."""
     unit = _TABLES[name].units
     return _PLANAR_UNITS.get(unit, unit) if dimension == 2 else unit
 
 
-def attributes(name: str, dimension: int) -> dict[str, str]:
+def make_attributes(name: str, dimension: int) -> dict[str, str]:
     """Return the CF attributes of a variable or coordinate for a body of that dimension."""
     variable = _TABLES[name]
     comment = {"comment": variable.comment} if variable.comment else {}
-    return {"units": units(name, dimension), "long_name": variable.long_name, **comment}
+    return {"units": get_units(name, dimension), "long_name": variable.long_name, **comment}
 
 
-def spatial(vector: Floats) -> Floats:
+def pad_to_space(vector: Floats) -> Floats:
     """Return vectors (..., d) with three components, as files have them: zero along z in the plane."""
     missing = 3 - vector.shape[-1]
     return np.pad(vector, [(0, 0)] * (vector.ndim - 1) + [(0, missing)])
 
 
-def volumes_and_angles(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
+def measure_cells(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
     """Return the signed volume and the angle of the polar rotation [rad] of each cell (e,) at positions x (n, d)."""
     if mesh.dimension == 2:
-        return volumes_and_angles_by_numpy(mesh, x)
+        return measure_cells_by_numpy(mesh, x)
     from pipeline.fem.kernels import measures as measure_kernels
 
     volumes, angles = np.empty((2, len(mesh.cells)))
@@ -97,15 +97,15 @@ def volumes_and_angles(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
     return volumes, angles
 
 
-def volumes_and_angles_by_numpy(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
-    """Return the same as `volumes_and_angles`: the reference of the compiled one, and the way of triangles."""
+def measure_cells_by_numpy(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
+    """Return the same as `measure_cells`: the reference of the compiled one, and the way of triangles."""
     return signed_volumes(x, mesh.cells), angle(polar(deformation_gradient(mesh, x)))
 
 
 def measure(frame: Frame) -> Values:
     """Return the values of all variables that this frame has, by the names of VARIABLES and STEPS."""
     mesh = frame.mesh
-    volumes, angles = volumes_and_angles(mesh, frame.x)
+    volumes, angles = measure_cells(mesh, frame.x)
     ratio = volumes / mesh.rest_volumes
     total, rest = volumes.sum(), mesh.rest_volumes.sum()
     return {
@@ -117,5 +117,5 @@ def measure(frame: Frame) -> Values:
         "volume_ratio_mean": np.asarray((ratio * mesh.rest_volumes).sum() / rest),
         "volume_ratio_quantile": np.quantile(ratio, QUANTILES),
         "inverted_count": np.asarray(float((ratio <= 0).sum())),
-        "center_of_mass": spatial(mesh.node_volumes @ frame.x / rest),
+        "center_of_mass": pad_to_space(mesh.node_volumes @ frame.x / rest),
     }

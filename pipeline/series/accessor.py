@@ -14,7 +14,7 @@ from pipeline.arrays import Floats, Ints
 from pipeline.errors import SeriesError
 from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.mesh.simplex import Mesh, signed_volumes
-from pipeline.run.measures import attributes, volumes_and_angles
+from pipeline.run.measures import make_attributes, measure_cells
 from pipeline.series.dataset_layout import read_mesh
 from pipeline.series.dataset_writer import write_pvd_series
 
@@ -48,7 +48,7 @@ class DeformationAccessor:
     def rotation_angle(self) -> "xarray.DataArray":
         """Return the angle of the polar rotation of every cell in every frame (time, cell) [degree]."""
         mesh = self.mesh()
-        rows = [np.degrees(volumes_and_angles(mesh, x)[1]) for x in self._iterate_positions(mesh)]
+        rows = [np.degrees(measure_cells(mesh, x)[1]) for x in self._iterate_positions(mesh)]
         return self._stack("rotation_angle", rows)
 
     def worst(self) -> Worst:
@@ -122,7 +122,7 @@ class DeformationAccessor:
 
         d = self._dataset.sizes["corner"] - 1
         time = {"time": self._dataset["time"]}
-        return xarray.DataArray(np.stack(rows), time, ("time", "cell"), name, attributes(name, d))
+        return xarray.DataArray(np.stack(rows), time, ("time", "cell"), name, make_attributes(name, d))
 
 
 def locate_points(mesh: Mesh, points: Floats) -> tuple[Ints, Floats]:

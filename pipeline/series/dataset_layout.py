@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from pipeline.errors import MeshError, SeriesError
 from pipeline.mesh.simplex import Mesh
-from pipeline.run.measures import STEPS, VARIABLES, attributes
+from pipeline.run.measures import STEPS, VARIABLES, make_attributes
 
 if TYPE_CHECKING:
     import xarray
@@ -25,7 +25,7 @@ _FIELDS = {
 def describe_field(name: str, dimension: int) -> dict[str, str]:
     """Return the CF attributes of a field; a foreign field has no units because they are unknown."""
     if name in VARIABLES or name in STEPS:
-        return attributes(name, dimension)
+        return make_attributes(name, dimension)
     if name in _FIELDS:
         unit, text = _FIELDS[name]
         return {"units": "m2" if (unit, dimension) == ("m3", 2) else unit, "long_name": text}

@@ -21,7 +21,7 @@ from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.grid import Grid
 from pipeline.formats.pvd import INDEX_SUFFIXES
 from pipeline.formats.readers import SUFFIXES, TEMPORAL_SUFFIXES
-from pipeline.run.measures import AXES, STEPS, attributes, spatial
+from pipeline.run.measures import AXES, STEPS, make_attributes, pad_to_space
 from pipeline.series.accessor import DeformationAccessor
 from pipeline.series.dataset_layout import ATTRIBUTES, STATIC, describe_field
 from pipeline.series.series import Series, open_series
@@ -93,7 +93,7 @@ class FrameStore:
             if "displacement" in grid.point_data and "rest_position" in grid.point_data:
                 displacement = np.asarray(grid.point_data["displacement"], dtype=np.float64)
                 return displacement if layout.nodes is None else displacement[layout.nodes]
-            return spatial(self.series.read_frame(index, grid).x - layout.mesh.points)
+            return pad_to_space(self.series.read_frame(index, grid).x - layout.mesh.points)
         data = getattr(grid, f"{kind}_data")
         if name not in data:
             raise SeriesError(
@@ -167,15 +167,15 @@ def make_lazy_dataset(series: Series, first: Grid | None = None) -> xarray.Datas
         if value.dtype.kind in "fiu" and name not in (*STATIC, "TimeValue") and name != series.layout.displacement
     }
     variables: dict[str, Any] = {
-        "rest_position": (("node", "axis"), spatial(mesh.points), describe_field("rest_position", d)),
+        "rest_position": (("node", "axis"), pad_to_space(mesh.points), describe_field("rest_position", d)),
         "connectivity": (("cell", "corner"), mesh.cells, describe_field("connectivity", d)),
     }
     for name, kind in kinds.items():
         variables[name] = _make_variable(store, kind, name, d)
-    time = {**attributes("time", d), "standard_name": "time", "axis": "T"}
+    time = {**make_attributes("time", d), "standard_name": "time", "axis": "T"}
     out = xarray.Dataset(
         variables,
-        {"time": ("time", np.array(series.times), time), "axis": ("axis", list(AXES), attributes("axis", d))},
+        {"time": ("time", np.array(series.times), time), "axis": ("axis", list(AXES), make_attributes("axis", d))},
         {"Conventions": "CF-1.11", "title": series.name},
     )
     if series.notes:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Fields
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame, Values
-from pipeline.run.measures import VARIABLES, spatial
+from pipeline.run.measures import VARIABLES, pad_to_space
 
 Precision = Literal["float64", "float32"]
 
@@ -40,8 +40,8 @@ def make_frame_fields(frame: Frame, measured: Values, precision: Precision = "fl
         numbers["step"] = np.array([[frame.step]], dtype=np.int64)
     numbers |= {name: np.atleast_2d(value) for name, value in measured.items() if name not in cellular}
     return FrameFields(
-        spatial(frame.x).astype(precision, copy=False),
-        {name: spatial(value).astype(precision, copy=False) for name, value in nodal.items()},
+        pad_to_space(frame.x).astype(precision, copy=False),
+        {name: pad_to_space(value).astype(precision, copy=False) for name, value in nodal.items()},
         {name: value.astype(precision, copy=False) for name, value in cellular.items()},
         numbers,
     )
@@ -49,4 +49,4 @@ def make_frame_fields(frame: Frame, measured: Values, precision: Precision = "fl
 
 def make_rest_positions(mesh: Mesh, precision: Precision = "float64") -> NDArray[np.floating]:
     """Return the rest points (n, 3), the one nodal field that never changes."""
-    return spatial(mesh.points).astype(precision, copy=False)
+    return pad_to_space(mesh.points).astype(precision, copy=False)

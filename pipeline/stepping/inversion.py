@@ -67,7 +67,7 @@ class Crossing:
         if fresh.size:
             collapsed[fresh] = _collapsed_directions(before[fresh], F[fresh])
         if inverted.any():
-            R[inverted] = _reflected(F[inverted], collapsed[inverted])
+            R[inverted] = _reflect(F[inverted], collapsed[inverted])
         return R, {"gradient_before": F, "collapsed": collapsed}
 
 
@@ -83,7 +83,7 @@ def _collapsed_directions(A: Floats, B: Floats) -> Floats:
     return out
 
 
-def _reflected(F: Floats, direction: Floats) -> Floats:
+def _reflect(F: Floats, direction: Floats) -> Floats:
     """Return U D V^T (k, d, d); D is -1 for the singular direction nearest to `direction`, 1 for the others."""
     largest = np.abs(F).max(axis=(1, 2), keepdims=True)
     U, _, Vt = np.linalg.svd(F / np.where(largest == 0, 1.0, largest))

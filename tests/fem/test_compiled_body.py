@@ -22,7 +22,7 @@ from pipeline.fem.rotation import (
 from pipeline.fem.supports import Supports
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh, edge_matrices, signed_volumes
-from pipeline.run.measures import volumes_and_angles, volumes_and_angles_by_numpy
+from pipeline.run.measures import measure_cells, measure_cells_by_numpy
 
 MATERIAL = Material(1e6, 0.3, 1000.0)
 NOWHERE = Supports(np.zeros(0, dtype=np.int64))
@@ -74,15 +74,15 @@ def test_measured_volumes_and_angles_are_those_of_the_plain_lines(cells: list[in
     mesh, rng = box([1.0, 2.0, 1.5], cells), np.random.default_rng(3)
     x = mesh.points @ polar(rng.normal(size=(1, 3, 3)))[0] + shake * rng.normal(size=mesh.points.shape)
     for positions in (x, np.asfortranarray(x), x.astype(np.float32)):
-        volumes, angles = volumes_and_angles(mesh, positions)
-        expected = volumes_and_angles_by_numpy(mesh, positions.astype(np.float64))
+        volumes, angles = measure_cells(mesh, positions)
+        expected = measure_cells_by_numpy(mesh, positions.astype(np.float64))
         assert np.array_equal(volumes, expected[0])
         assert np.array_equal(volumes, signed_volumes(positions.astype(np.float64), mesh.cells))
         np.testing.assert_allclose(angles, expected[1], atol=1e-9)
     np.testing.assert_allclose(
         volumes, np.linalg.det(edge_matrices(positions.astype(float), mesh.cells)) / 6, atol=1e-14
     )
-    assert np.array_equal(volumes_and_angles(mesh, mesh.points)[0], mesh.rest_volumes)  # a ratio of one at rest
+    assert np.array_equal(measure_cells(mesh, mesh.points)[0], mesh.rest_volumes)  # a ratio of one at rest
 
 
 def test_measured_numbers_of_what_is_no_number_stay_in_their_cells() -> None:
@@ -90,7 +90,7 @@ def test_measured_numbers_of_what_is_no_number_stay_in_their_cells() -> None:
     x = 1.1 * mesh.points
     x[0] = np.nan
     touched = (mesh.cells == 0).any(axis=1)
-    volumes, angles = volumes_and_angles(mesh, x)
+    volumes, angles = measure_cells(mesh, x)
     assert np.isnan(volumes[touched]).all() and not np.isnan(volumes[~touched]).any()
     np.testing.assert_allclose(angles[~touched], 0.0, atol=1e-12)
 

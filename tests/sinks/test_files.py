@@ -18,7 +18,7 @@ from pipeline import build, frames, load_case, read_series, record
 from pipeline.errors import OutputError, SeriesError
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.netcdf import read_dataset
-from pipeline.run.measures import QUANTILES, VARIABLES, measure, spatial
+from pipeline.run.measures import QUANTILES, VARIABLES, measure, pad_to_space
 from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.vtu import VtuSink
 from tests.bodies import PLANAR, assert_conventional, write_case
@@ -78,7 +78,7 @@ def test_vtk_reads_the_deformed_points_and_the_cells(run):
     for file, frame in zip(frame_files(run.folder), run.frames, strict=True):
         grid = vtk_read(file)
         points = vtk_to_numpy(grid.GetPoints().GetData())
-        assert points.dtype == np.float64 and np.array_equal(points, spatial(frame.x))
+        assert points.dtype == np.float64 and np.array_equal(points, pad_to_space(frame.x))
         cells = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).reshape(-1, run.d + 1)
         assert np.array_equal(cells, frame.mesh.cells)
         assert {grid.GetCellType(i) for i in range(grid.GetNumberOfCells())} == {{2: 5, 3: 10}[run.d]}
@@ -92,7 +92,7 @@ def test_vtk_finds_every_field_under_its_name_as_doubles(run):
         assert nodal.keys() == wanted.keys()
         for name, value in wanted.items():
             assert nodal[name].dtype == np.float64 and nodal[name].shape == (len(X), 3)
-            assert np.array_equal(nodal[name], spatial(value))
+            assert np.array_equal(nodal[name], pad_to_space(value))
         cellular = arrays(grid.GetCellData())
         assert cellular.keys() == {"volume_ratio", "rotation_angle", "volume"}
         for name, value in cellular.items():
@@ -129,7 +129,7 @@ def test_the_index_has_the_true_times(run):
     assert reader.time_values == times
     for time, frame in zip(times, run.frames, strict=True):
         reader.set_active_time_value(time)
-        assert np.array_equal(reader.read()[0].points, spatial(frame.x))
+        assert np.array_equal(reader.read()[0].points, pad_to_space(frame.x))
 
 
 # Statistics

@@ -15,7 +15,7 @@ from vtkmodules.vtkIOHDF import vtkHDFReader
 
 from pipeline import build, frames, load_case, read_series, record
 from pipeline.errors import OutputError
-from pipeline.run.measures import VARIABLES, measure, spatial
+from pipeline.run.measures import VARIABLES, measure, pad_to_space
 from pipeline.series.xarray_plugin import SeriesBackend
 from pipeline.sinks import frame_formats as formats
 from pipeline.sinks.fields import make_frame_fields
@@ -55,7 +55,7 @@ def test_vtk_finds_every_frame_and_field_as_in_the_vtu(given, tmp_path, room, pr
         grid, fields = read(tmp_path / "series.vtkhdf", i), make_frame_fields(frame, measure(frame), precision)
         points = vtk_to_numpy(grid.GetPoints().GetData())
         assert points.dtype == precision and np.array_equal(points, fields.points)
-        wanted = {**fields.nodal, "rest_position": spatial(frame.mesh.points).astype(precision)}
+        wanted = {**fields.nodal, "rest_position": pad_to_space(frame.mesh.points).astype(precision)}
         for data, expected in ((grid.GetPointData(), wanted), (grid.GetCellData(), fields.cellular)):
             found = arrays(data)
             assert found.keys() == expected.keys()
