@@ -1,8 +1,9 @@
-"""`pipeline reproduce`: every scene of the seeds, and a report of what of the published numbers holds.
+"""`pipeline reproduce`: every scene of the seeds, and a report that compares each published number with ours.
 
-published (data) -> measured, law, damping, statements, corrections (computing) -> report, figures, page (rendering)
+published (data) -> our_runs, verdicts, growth_law, damping, verbal_claims, corrections (computing) -> report, figures
 """
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ ALL_SCENES = (*(name + ending for name in SCENES for ending in (AS_PRINTED, ""))
 
 @dataclass(frozen=True)
 class Reproduction:
-    """The two files written, the report, and the scenes that it is about."""
+    """The two files written, the report, its scenes, and the variants that failed."""
 
     html: Path
     markdown: Path
@@ -33,18 +34,18 @@ class Reproduction:
 
     @property
     def exit_code(self) -> int:
-        """Return 3 where a variant failed, else 0."""
+        """Return 3 if a variant failed, else 0."""
         return SolveError.exit_code if self.failed else 0
 
     @property
     def summary(self) -> str:
-        """Return the counts of verdicts in a line."""
-        return ", ".join(f"{self.report.count(kind)} {kind}" for kind in KINDS)
+        """Return the counts of verdicts in one line."""
+        return ", ".join(f"{self.report.count_verdicts(kind)} {kind}" for kind in KINDS)
 
 
 def reproduce(
-    cases: Path,
-    out: Path,
+    cases: str | os.PathLike[str],
+    out: str | os.PathLike[str],
     *,
     scenes: Sequence[str] = ALL_SCENES,
     frames: int | None = None,
@@ -54,22 +55,22 @@ def reproduce(
     notify: Notify | None = None,
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> Reproduction:
-    """Run the scenes of a folder of cases into out/<case>/ and write out/reproduction.html and .md.
+    """Return the report on the scenes of a folder of cases, after writing out/reproduction.html and .md.
 
-    What is up to date is not solved again; `resume` goes on with what is unfinished. `frames` shortens every schedule.
-    Raises PipelineError as run_case does.
+    Each scene is run into out/<case>/ unless it is up to date; `resume` continues unfinished runs. `frames` shortens
+    every schedule. Raises PipelineError as run_case does.
     """
+    target = Path(out)
     overrides = {} if frames is None else {"schedule.frames": frames}
-    loaded = [load_case(Path(cases) / f"{name}.toml", overrides=overrides) for name in scenes]
+    scene_cases = [load_case(Path(cases) / f"{name}.toml", overrides=overrides) for name in scenes]
     bar = build(load_case(Path(cases) / f"bar_small{AS_PRINTED}.toml").variant("linear"))
-    ran, failed = {}, []
-    for case in loaded:
-        result = run_case(case, out, force=force, resume=resume, movie=movie, notify=notify, on_drawing=on_drawing)
-        ran[case.name] = read_scene(case, result)
+    thesis_scenes, failed = {}, []
+    for case in scene_cases:
+        result = run_case(case, target, force=force, resume=resume, movie=movie, notify=notify, on_drawing=on_drawing)
+        thesis_scenes[case.name] = read_scene(case, result)
         failed += [f"{case.name}/{v.name}" for v in result.variants if v.run.get("status") == "failed"]
-    own = Path(out) / "reproduction"
-    report = make_report(ran, bar, own)
-    files = Path(out) / "reproduction.html", Path(out) / "reproduction.md"
-    write_whole(files[0], render_html(report.blocks))
-    write_whole(files[1], render_markdown(report.blocks, Path(out)))
-    return Reproduction(*files, report, ran, tuple(failed))
+    report = make_report(thesis_scenes, bar, target / "reproduction")
+    html, markdown = target / "reproduction.html", target / "reproduction.md"
+    write_whole(html, render_html(report.blocks))
+    write_whole(markdown, render_markdown(report.blocks, target))
+    return Reproduction(html, markdown, report, thesis_scenes, tuple(failed))

@@ -1,4 +1,4 @@
-r"""Backward Euler's damping of the lowest modes of a linear body: by formula, and measured on each mode.
+r"""Backward Euler's damping of the lowest modes of a linear body: by formula, and measured for each mode.
 
     z = omega dt,   zeta(z) = ln(1 + z^2) / sqrt(ln^2(1 + z^2) + 4 atan^2 z)
 
@@ -28,7 +28,7 @@ class DampedMode:
 
 
 def measure_damping(problem: Problem, count: int = 6) -> list[DampedMode]:
-    """Return the lowest modes of a problem of the linear law; loads and initial state are left aside."""
+    """Return the lowest modes of a problem of the linear law, without its loads and initial state."""
     omegas, shapes = lowest_frequencies(problem.body, count)
     return [
         DampedMode(float(omega), z := float(omega) * problem.dt, damping_ratio(z), _measure_ratio(problem, shape))
@@ -37,13 +37,13 @@ def measure_damping(problem: Problem, count: int = 6) -> list[DampedMode]:
 
 
 def _measure_ratio(problem: Problem, shape: np.ndarray) -> float:
-    """Return the damping ratio of four steps that start displaced along a mode."""
+    """Return the damping ratio of four steps from a displacement along a mode."""
     body = replace(problem.body, load=np.zeros_like(problem.body.load), varying_load=None)
     stepper = make_stepper(body, problem.dt, problem.method)
     X = body.mesh.points
-    small = 1e-3 * body.mesh.size / np.abs(shape).max()
-    weighted = body.momentum(shape) / small
-    state = State(0, X + small * shape, np.zeros_like(X))
+    scale = 1e-3 * body.mesh.size / np.abs(shape).max()  # the body is linear: its response is proportional
+    weighted = body.momentum(shape) / scale
+    state = State(0, X + scale * shape, np.zeros_like(X))
     amplitudes = [1.0]
     for _ in range(4):
         state, _ = stepper.step(state)
@@ -51,5 +51,5 @@ def _measure_ratio(problem: Problem, shape: np.ndarray) -> float:
     q = np.array(amplitudes)
     a, b = np.linalg.solve(np.stack([q[2:4], q[1:3]], axis=1), q[3:5])
     G = np.roots([1.0, -a, -b]).astype(complex)[0]
-    decay, turn = np.log(np.abs(G)), np.angle(G)
-    return float(-decay / np.hypot(decay, turn))
+    decay, phase = np.log(np.abs(G)), np.angle(G)
+    return float(-decay / np.hypot(decay, phase))

@@ -1,12 +1,12 @@
-r"""The thesis' formulas exactly as printed, each with the one sign or factor that mends it; `corrected` chooses.
+r"""The thesis' formulas exactly as printed, each with the one sign or factor that corrects it; `corrected` chooses.
 
     T 4.30         K_e block by block, from the three sums of sigma grad N_i
     T 4.31, 4.32   the same as products of 3 x 3 matrices
     T 4.47, 4.48   one step of backward Euler
     T 6.15, 6.16   one step of the corotational method
 
-Prefactor and volume are right in all of them (correction to T 4.33), so that each shows one fault alone. Only the
-corrections table and its tests use these; the program has its own formulas.
+Prefactor and volume are right in all of them (correction to T 4.33), so that each shows only one fault. They are used
+by the corrections table and its tests; the program has its own formulas.
 """
 
 import numpy as np
@@ -22,10 +22,10 @@ def stiffness_4_30(mesh: Mesh, material: Material, *, corrected: bool = False) -
     h = (1 - 2 * nu) / 2
     x, y, z = np.moveaxis(mesh.shape_gradients[:, :, None], -1, 0)  # of N_i
     X, Y, Z = np.moveaxis(mesh.shape_gradients[:, None, :], -1, 0)  # of N_j
-    faulty = z * Y if corrected else x * X
+    third = z * Y if corrected else x * X
     rows = [
         [(1 - nu) * x * X + h * y * Y + h * z * Z, nu * x * Y + h * y * X, nu * x * Z + h * z * X],
-        [h * x * Y + nu * y * X, h * x * X + (1 - nu) * y * Y + h * z * Z, nu * y * Z + h * faulty],
+        [h * x * Y + nu * y * X, h * x * X + (1 - nu) * y * Y + h * z * Z, nu * y * Z + h * third],
         [h * x * Z + nu * z * X, h * y * Z + nu * z * Y, h * x * X + h * y * Y + (1 - nu) * z * Z],
     ]
     prefactor = material.youngs_modulus / ((1 + nu) * (1 - 2 * nu))
@@ -51,10 +51,10 @@ def stiffness_4_32(mesh: Mesh, material: Material, *, corrected: bool = False) -
 def step_4_48(
     M: Floats, K: Floats, f: Floats, u: Floats, v: Floats, dt: float, *, corrected: bool = False
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Return u and v (k,) a step later by T 4.48 and 4.49; corrected: + dt (f - K u)."""
+    """Return u and v (k,) one step later by T 4.48 and 4.49; corrected: + dt (f - K u)."""
     sign = 1.0 if corrected else -1.0
-    after = np.asarray(np.linalg.solve(M + dt**2 * K, M @ v + sign * dt * (f - K @ u)), np.float64)
-    return u + dt * after, after
+    v_next = np.asarray(np.linalg.solve(M + dt**2 * K, M @ v + sign * dt * (f - K @ u)), np.float64)
+    return u + dt * v_next, v_next
 
 
 def force_6_12(K: Floats, f: Floats, x: Floats, u: Floats, f_0: Floats, *, corrected: bool = False) -> Floats:

@@ -1,11 +1,11 @@
-r"""The law of spurious volume: a cell ends at J = sec^2 of the angle between the rotation that its solve used and the
-one it reached, when it has no strain in the frame used: F = R (I + W), det F = 1 + |axial W|^2 = 1 + tan^2.
+r"""The law of spurious volume. A cell without strain in the frame of its solve ends at J = sec^2 of the angle between
+the rotation used and the one reached: F = R (I + W), det F = 1 + |axial W|^2 = 1 + tan^2.
 
     linear      used I         J against the angle of the polar rotation
     one solve   used R(x_n)    J against the angle between the polar rotations before and after the step
 
-A homogeneous rotation obeys it exactly; in a scene strain comes on top, so there the median and the band of
-J / sec^2 are reported.
+A homogeneous rotation obeys it exactly. In a scene strain is added, so the median and the band of J / sec^2 are
+reported.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,6 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
-from pipeline.mesh.simplex import Mesh
 from pipeline.series import Series
 
 
@@ -39,7 +38,7 @@ class Growth:
 
 @dataclass(frozen=True)
 class RatioBand:
-    """J / sec^2 of the cells that turned by more than `above` [degrees]: how many, 5 %, median, 95 %, largest angle."""
+    """J / sec^2 of the cells that turned by more than `above` [degrees]: count, 5 %, median, 95 %, largest angle."""
 
     above: float
     count: int
@@ -47,17 +46,17 @@ class RatioBand:
     median: float
     high: float
     largest_angle: float
-    largest_law: float  # sec^2 of the largest angle
+    largest_growth: float  # sec^2 of the largest angle
 
 
 def read_linear_growth(series: Series) -> Growth:
-    """Return all cells and frames of a run of the linear law."""
+    """Return the growth of all cells and frames of a run of the linear law."""
     pairs = [(angle(polar(F)), np.linalg.det(F)) for F in _list_gradients(series)]
     return Growth(*(np.concatenate(column) for column in zip(*pairs, strict=True)))
 
 
 def read_step_growth(series: Series) -> Growth:
-    """Return all cells and steps of a run of one solve a step that recorded every step."""
+    """Return the growth of all cells and steps of a run with one solve a step and a frame for every step."""
     angles, ratios, before = [], [], None
     for F in _list_gradients(series):
         R = polar(F)
@@ -68,24 +67,18 @@ def read_step_growth(series: Series) -> Growth:
     return Growth(np.concatenate(angles), np.concatenate(ratios)) if angles else Growth(np.zeros(0), np.zeros(0))
 
 
-def growth_between(mesh: Mesh, x_used: Floats, x: Floats) -> Growth:
-    """Return the growth at positions x (n, d) of a solve that used the rotations at x_used (n, d)."""
-    before, F = (deformation_gradient(mesh, points) for points in (x_used, x))
-    return Growth(angle(np.swapaxes(polar(before), 1, 2) @ polar(F)), np.linalg.det(F))
-
-
 def _list_gradients(series: Series) -> list[Floats]:
     return [deformation_gradient(series.mesh, frame.x) for frame in series]
 
 
 def make_band(growth: Growth, above: float) -> RatioBand | None:
-    """Return the band of the cells that turned by more than `above` degrees; None where none did."""
-    chosen = growth.angle > np.radians(above)
-    if not chosen.any():
+    """Return the band of the cells that turned by more than `above` degrees; None if there are none."""
+    turned = growth.angle > np.radians(above)
+    if not turned.any():
         return None
-    low, median, high = np.quantile(growth.over_law[chosen], [0.05, 0.5, 0.95])
+    low, median, high = np.quantile(growth.over_law[turned], [0.05, 0.5, 0.95])
     largest = float(growth.angle.max())
     return RatioBand(
-        above, int(chosen.sum()), float(low), float(median), float(high),
+        above, int(turned.sum()), float(low), float(median), float(high),
         float(np.degrees(largest)), float(1 / np.cos(largest) ** 2),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What our runs of the seeds' scenes gave: read from the result folders, nothing is solved here."""
+"""The results of our runs of the seeds' scenes, read from their folders; nothing is solved here."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from pipeline.results.variant_run import VariantResult
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """One variant's run: counts, the largest growth over all cells and frames, where and when, and what it cost."""
+    """One variant's run: counts, the largest growth over all cells and frames, its place and time, and the cost."""
 
     status: str
     folder: Path
@@ -29,14 +29,14 @@ class RunOutcome:
     largest_volume: float
     its_rest_volume: float
     largest_rest_volume: float
-    kinetic_kept: float  # kinetic energy at the end over that at its largest
+    kinetic_left: float  # kinetic energy at the end over its largest
     seconds_per_step: float
     message: str = ""
 
 
 @dataclass(frozen=True)
 class ThesisScene:
-    """One case: its folder, what its numbers were multiplied by, its outcomes by variant and what there is to say."""
+    """One case: its folder, the factor on its numbers, its outcomes by variant, and notes."""
 
     name: str
     folder: Path
@@ -47,7 +47,7 @@ class ThesisScene:
 
 
 def read_scene(case: Case, result: CaseResult) -> ThesisScene:
-    """Return what a campaign gave; a variant without a frame is left out, with a note."""
+    """Return the results of a case; a variant without a frame is left out, a failed one has a note."""
     outcomes, notes = {}, list(result.notes)
     for variant in result.variants:
         if variant.run.get("frames"):
@@ -59,11 +59,11 @@ def read_scene(case: Case, result: CaseResult) -> ThesisScene:
 
 
 def _find_factor(case: Case) -> tuple[float, str]:
-    """Return the factor that a case puts on its initial velocity or its load, and its name; 1 where there is none."""
+    """Return the factor on a case's initial velocity or body force, and the name of that; 1 if there is none."""
     if case.initial.factor != 1:
         return case.initial.factor, "initial velocity"
-    b = case.loads.body_force
-    return (b.factor, "body force") if b is not None and b.factor != 1 else (1.0, "")
+    force = case.loads.body_force
+    return (force.factor, "body force") if force is not None and force.factor != 1 else (1.0, "")
 
 
 def read_outcome(variant: VariantResult) -> RunOutcome:
@@ -91,7 +91,7 @@ def read_outcome(variant: VariantResult) -> RunOutcome:
         largest_volume=float(volumes.max()),
         its_rest_volume=float(rest[largest]),
         largest_rest_volume=float(rest.max()),
-        kinetic_kept=float(kinetic[-1] / kinetic.max()) if kinetic.max() > 0 else 0.0,
+        kinetic_left=float(kinetic[-1] / kinetic.max()) if kinetic.max() > 0 else 0.0,
         seconds_per_step=float(run["seconds_per_step"] or float("nan")),
         message=str(run.get("message", "")),
     )

@@ -1,6 +1,6 @@
-"""What the seeds print, and where: data only. T is the thesis, W the web page.
+"""The numbers and statements that the seeds print, with their sources: data only. T is the thesis, W the web page.
 
-Numbers derived from printed ones say so. A tolerance is absolute: 1 % of a volume, an iteration, nothing for a count.
+The source of a derived number has its derivation. Tolerances are 1 % of a volume, one iteration, and 0 for counts.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ VOLUME_TOLERANCE = 0.01  # of the published volume: the thesis prints three to f
 
 @dataclass(frozen=True)
 class PublishedNumber:
-    """A published number; `quantity` names what of `measured.Outcome` it is, `less` a scene to subtract that of."""
+    """A published number; `quantity` is a field of our_runs.RunOutcome, `less` a scene whose value is subtracted."""
 
     what: str
     printed: str
@@ -26,7 +26,7 @@ class PublishedNumber:
 
 @dataclass(frozen=True)
 class Statement:
-    """Something the seeds say in words; `test` names the function of `statements` that puts it to the test."""
+    """A statement of the seeds in words; `test` names the function of verbal_claims that tests it."""
 
     says: str
     source: str
@@ -35,7 +35,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class Timing:
-    """A row of T's tables 7.1 and 7.2; the variant is the one of ours that is the same method."""
+    """A row of T's tables 7.1 and 7.2; `variant` is our variant of the same method."""
 
     model: str
     scene: str
@@ -48,7 +48,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class FigureSet:
-    """The figures of one scene of the thesis, and the iterations that it shows of each variant."""
+    """The figures of one scene of the thesis, and the iterations that they show of each variant."""
 
     scene: str
     title: str
@@ -59,9 +59,9 @@ class FigureSet:
 
 @dataclass(frozen=True)
 class Correction:
-    """A fault in the seeds; `test` names the function of `corrections` that runs the printed formula, if it runs.
+    """A fault in the seeds; `test` names the function of corrections.py that runs the printed formula, if any.
 
-    `fails` and `holds` are filled in with that function's numbers.
+    `fails` and `holds` are templates for that function's numbers.
     """
 
     where: str
@@ -72,7 +72,7 @@ class Correction:
     holds: str = ""
 
 
-# a calibrated scene; its twin as printed has the same name with this ending
+# a scene without a fitted factor has the name of the calibrated one and this ending
 AS_PRINTED = "_as_printed"
 SCENES = ("bar_small", "bar", "mushroom", "armadillo")
 PLANAR_SCENE = "beam2d"
@@ -102,7 +102,7 @@ NUMBERS: tuple[PublishedNumber, ...] = (
                  THESIS_METHOD,
                  remark="1.27 is the linear value; 0.18 may be a misprint of 0.28, which would give 1.17"),
     _make_volume("bar, f = 40, corotational: largest volume [m3]", "1.45", "T 7.1.2", "bar", THESIS_METHOD,
-                 remark="with the factor it falls in the first step, whose rotations are those of rest: it tests none"),
+                 remark="with the factor it falls in the first step, which uses the rotations at rest: none is tested"),
     _make_volume("bar, corotational: f = 40 less f = 20 [m3]", "0.18", "T 7.1.2", "bar", THESIS_METHOD,
                  less="bar_small", remark="it may be a misprint of 0.28"),
     _make_count("mushroom", "nodes", "nodes", 219, "T 5.2"),
@@ -169,21 +169,21 @@ CORRECTIONS: tuple[Correction, ...] = (
                "f(x) = f~(φ(x)); J = ∂x/∂ξ, ∇f = J^-T ∇~f~"),
     Correction("T 4.30, (*)_2, third sum", "∂N_i/∂x ∂N_j/∂x", "∂N_i/∂z ∂N_j/∂y", "third_sum",
                "K_e is asymmetric by {asymmetry:.0%} of its norm, has a kernel of {kernel:.0f} instead of 6, its "
-               "symmetric part the eigenvalue {lowest:+.1%} of the largest; turns by 1 rad about x, y, z make forces "
-               "of {about_x:.2g}, {about_y:.2g}, {about_z:.1g} E h²",
+               "symmetric part the eigenvalue {lowest:+.1%} of the largest; rotations by 1 rad about x, y, z cause "
+               "forces of {about_x:.2g}, {about_y:.2g}, {about_z:.1g} E h²",
                "asymmetric by {asymmetry:.1g}, kernel {kernel:.0f}, lowest eigenvalue {lowest:.1g}, "
                "forces {about_x:.1g}, {about_y:.1g}, {about_z:.1g} E h²"),
     Correction("T 4.32, left factor, row 3", "(0, ∂N_i/∂z, ∂N_i/∂x)", "(0, ∂N_i/∂y, ∂N_i/∂x)", "left_factor",
                "K_e is asymmetric by {asymmetry:.0%} of its norm, its symmetric part has the eigenvalue {lowest:+.1%} "
-               "of the largest; the bar of f = 20 is {travel:.3g} m from home within 100 steps",
+               "of the largest; the bar of f = 20 moves by {travel:.3g} m within 100 steps",
                "asymmetric by {asymmetry:.1g}, lowest eigenvalue {lowest:.1g}; within 100 steps at most "
                "{travel:.3g} m"),
     Correction("T 4.33", "prefactor E/((1+ν)(1-2ν)) once more; no volume",
                "without it; times V_e; c = G = E/(2(1+ν))"),
     Correction("T 4.47, 4.48", "M v_n - Δt (f - K u_n)", "M v_n + Δt (f - K u_n)", "load_sign",
-               "the bar's first mode grows by {growth:.4f} a step (in theory 1 + z/√(1+z²) = {theory:.4f}); the bar of "
-               "f = 20 is {travel:.2g} m from home within 100 steps, and gravity lifts it: {rise:+.2g} m in step 1",
-               "the mode shrinks to {growth:.4f} a step (1/√(1+z²) = {theory:.4f}); at most {travel:.3g} m, "
+               "the bar's first mode grows {growth:.4f}-fold a step (in theory 1 + z/√(1+z²) = {theory:.4f}); the bar "
+               "of f = 20 moves by {travel:.2g} m within 100 steps, and gravity lifts it: {rise:+.2g} m in step 1",
+               "the mode shrinks {growth:.4f}-fold a step (1/√(1+z²) = {theory:.4f}); at most {travel:.3g} m, "
                "gravity: {rise:+.2g} m in step 1"),
     Correction("T 6.2", "“exactly the same forces as 6.1”", "equal only for R = I"),
     Correction("T 6.6", "unitary polar factor", "a real F with det F < 0 gives a reflection: remove it"),

@@ -1,4 +1,4 @@
-"""A published value against ours: reproduced, reproduced with a factor, or not and why; times are of a machine."""
+"""A published value against ours: reproduced, reproduced with a factor, or not and why not."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from pipeline.studies.thesis.our_runs import RunOutcome, ThesisScene
 from pipeline.studies.thesis.published import AS_PRINTED, COUNTED, PublishedNumber
 
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
-OTHER_HARDWARE = "other hardware"  # of what depends on the speed of a machine: neither of the two
+OTHER_HARDWARE = "other hardware"  # a result that depends on the speed of the machine: neither of the two
 
 
 @dataclass(frozen=True)
@@ -21,32 +21,33 @@ class Finding:
 
 
 def judge(number: PublishedNumber, as_printed: float | None, calibrated: float | None, factor: float) -> str:
-    """Return the verdict, with the remark: as printed comes first, and what is neither carries its deviations."""
+    """Return the verdict with the remark; as printed counts first, and a number not reproduced has its deviations."""
     remark = f" ({number.remark})" if number.remark else ""
     if as_printed is not None and abs(as_printed - number.value) <= number.tolerance:
         return f"{REPRODUCED}{remark}"
     if calibrated is not None and abs(calibrated - number.value) <= number.tolerance:
         return f"{REPRODUCED} with factor {factor:g}{remark}"
-    found = [(as_printed, "as printed"), (calibrated, f"with factor {factor:g}")]
-    parts = [f"{_format_deviation(value, number)} {how}" for value, how in found if value is not None]
+    values = [(as_printed, "as printed"), (calibrated, f"with factor {factor:g}")]
+    parts = [f"{_format_deviation(value, number)} {scene}" for value, scene in values if value is not None]
     return f"{NOT_REPRODUCED}: {', '.join(parts) or 'not run'}{remark}"
 
 
 def _format_deviation(value: float, number: PublishedNumber) -> str:
-    """Return how far off a value is: in per cent of a volume, as it is for a count or an iteration."""
+    """Return the deviation in percent, or, for a count or an iteration, the value itself."""
     if number.quantity in COUNTED:
         return f"{value:.0f}"
     return f"{100 * (value / number.value - 1):+.1f} %"
 
 
 def judge_number(number: PublishedNumber, scenes: Mapping[str, ThesisScene]) -> Finding:
-    """Return what the runs say about a published number."""
+    """Return a published number with the values of our runs and the verdict."""
     values = [_find_value(number, scenes, ending) for ending in (AS_PRINTED, "")]
     factor = scenes[number.scene].factor if number.scene in scenes else 1.0
     return Finding(number, values[0], values[1], judge(number, values[0], values[1], factor))
 
 
 def _find_value(number: PublishedNumber, scenes: Mapping[str, ThesisScene], ending: str) -> float | None:
+    """Return our value of a number, or of a difference of two scenes; None if a run is missing."""
     minuend = find_outcome(scenes, number.scene + ending, number.variant)
     if minuend is None:
         return None
@@ -58,6 +59,6 @@ def _find_value(number: PublishedNumber, scenes: Mapping[str, ThesisScene], endi
 
 
 def find_outcome(scenes: Mapping[str, ThesisScene], scene: str, variant: str) -> RunOutcome | None:
-    """Return the outcome of a variant of a scene that ran to its end; None where there is none."""
-    found = scenes[scene].outcomes.get(variant) if scene in scenes else None
-    return found if found is not None and found.status == "finished" else None
+    """Return the outcome of a scene's variant; None unless it ran to its end."""
+    outcome = scenes[scene].outcomes.get(variant) if scene in scenes else None
+    return outcome if outcome is not None and outcome.status == "finished" else None
