@@ -1,4 +1,4 @@
-"""Compiled kernels give what the plain numpy lines give."""
+"""Compiled kernels agree with the plain numpy code."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def rotation(request) -> Rotation:
 @pytest.fixture(params=[2, 3], ids=["triangles", "tetrahedra"])
 def bodies(request, rotation: Rotation) -> tuple[Body, Body]:
     even = box([1.0, 2.0, 1.5], [2, 3, 2]) if request.param == 3 else rectangle([1.0, 2.0], [4, 7])
-    # cells of different volumes: what is to be weighted by them would not show in equal ones
+    # cells of different volumes, so that a missing weight shows
     moved = even.points + 0.05 * np.random.default_rng(0).uniform(-1, 1, even.points.shape)
     mesh = Mesh(moved, even.cells)
     assert mesh.rest_volumes.max() > 1.5 * mesh.rest_volumes.min()
@@ -52,7 +52,7 @@ def test_forces_stiffness_and_energy_are_those_of_the_plain_body(bodies: tuple[B
     x = plain.mesh.points @ polar(rng.normal(size=(1, d, d)))[0] + shake * rng.normal(size=plain.mesh.points.shape)
     assert compiled.energy(x) == pytest.approx(plain.energy(x), rel=1e-11, abs=1e-9 * 1e6 * 3)
     f, K = plain.linearize(x)
-    # of the largest force or stiffness that this motion makes, and of what a strain of one makes
+    # relative to the largest force or stiffness of this motion, and to those of a strain of one
     f_scale, K_scale = max(np.abs(f).max(), 1e6), np.abs(K).max()
     for given in (None, plain.rotations(x)):
         g, L = compiled.linearize(x, given)
@@ -70,7 +70,7 @@ def test_forces_stiffness_and_energy_are_those_of_the_plain_body(bodies: tuple[B
 
 @pytest.mark.parametrize("cells", [[1, 1, 1], [2, 3, 2], [4, 8, 2]], ids=["6", "72", "384"])
 @pytest.mark.parametrize("shake", [0.0, 0.05, 0.5], ids=["rest", "strained", "some inverted"])
-def test_measured_volumes_and_angles_are_those_of_the_plain_lines(cells: list[int], shake: float) -> None:
+def test_compiled_volumes_and_angles_are_those_of_numpy(cells: list[int], shake: float) -> None:
     mesh, rng = box([1.0, 2.0, 1.5], cells), np.random.default_rng(3)
     x = mesh.points @ polar(rng.normal(size=(1, 3, 3)))[0] + shake * rng.normal(size=mesh.points.shape)
     for positions in (x, np.asfortranarray(x), x.astype(np.float32)):
@@ -85,7 +85,7 @@ def test_measured_volumes_and_angles_are_those_of_the_plain_lines(cells: list[in
     assert np.array_equal(measure_cells(mesh, mesh.points)[0], mesh.rest_volumes)  # a ratio of one at rest
 
 
-def test_measured_numbers_of_what_is_no_number_stay_in_their_cells() -> None:
+def test_nan_stays_in_its_cells() -> None:
     mesh = box([1.0, 2.0, 1.5], [2, 3, 2])
     x = 1.1 * mesh.points
     x[0] = np.nan
@@ -107,8 +107,8 @@ def test_rotations_are_those_of_the_singular_value_decomposition(spread: float) 
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_gram_schmidt_rotations_of_odd_gradients_are_those_of_the_plain_lines(d: int) -> None:
-    """Columns that vanish, are parallel or all but, are huge or tiny; what is not finite has the identity."""
+def test_gram_schmidt_rotations_of_degenerate_gradients_are_those_of_numpy(d: int) -> None:
+    """Columns that are zero, parallel or nearly so, huge or tiny; the identity if F is not finite."""
     rng = np.random.default_rng(5)
     F = rng.normal(size=(2000, d, d))
     F[100:200, :, 0] = 0.0
@@ -119,7 +119,7 @@ def test_gram_schmidt_rotations_of_odd_gradients_are_those_of_the_plain_lines(d:
     F[700:800, :, 0] *= 1e-12
     F[800:900] = F[800:900, :, :1] * F[800:900, :1, :]
     expected, found = gram_schmidt(F), rotations_of(F, GRAM_SCHMIDT_ROTATION)
-    loose = np.r_[400:500, 800:900]  # what is left of the second column is rounding error there
+    loose = np.r_[400:500, 800:900]  # the rest of the second column is rounding error there
     np.testing.assert_allclose(np.delete(found, loose, 0), np.delete(expected, loose, 0), atol=1e-12)
     np.testing.assert_allclose(found[400:500], expected[400:500], atol=1e-6)
     np.testing.assert_allclose(np.swapaxes(found, 1, 2) @ found, np.broadcast_to(np.eye(d), F.shape), atol=1e-14)
@@ -130,7 +130,7 @@ def test_gram_schmidt_rotations_of_odd_gradients_are_those_of_the_plain_lines(d:
 
 
 def rotations_of(F: np.ndarray, rotation: Rotation) -> np.ndarray:
-    """The rotations that a compiled body of as many separate cells finds."""
+    """The rotations of a compiled body with as many separate cells."""
     d = F.shape[1]
     corners = np.vstack([np.zeros(d), np.eye(d)])
     mesh = Mesh(np.tile(corners, (len(F), 1)), np.arange(len(F) * (d + 1)).reshape(-1, d + 1))
@@ -141,7 +141,7 @@ def rotations_of(F: np.ndarray, rotation: Rotation) -> np.ndarray:
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_the_linear_law_has_one_matrix_and_its_numbers_are_those_of_the_plain_body(d: int) -> None:
+def test_the_linear_law_has_one_matrix_and_agrees_with_the_plain_body(d: int) -> None:
     mesh = box([1.0, 2.0, 1.5], [2, 3, 2]) if d == 3 else rectangle([1.0, 2.0], [4, 7])
     held = Supports(np.flatnonzero(mesh.points[:, 0] == 0.0))
     arguments = (mesh, Linear(MATERIAL), held, np.zeros_like(mesh.points), CONSISTENT_MASS)
@@ -159,7 +159,7 @@ def test_the_linear_law_has_one_matrix_and_its_numbers_are_those_of_the_plain_bo
     np.testing.assert_array_equal(body.rotations(x), plain.rotations(x))
 
 
-def test_rotations_have_the_numbers_that_kernels_know_them_by() -> None:
+def test_rotations_have_the_numbers_of_their_kernels() -> None:
     mesh = box([1.0, 1.0, 1.0], [1, 1, 1])
     laws = {
         POLAR: Corotational(MATERIAL),

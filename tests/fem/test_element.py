@@ -20,23 +20,23 @@ METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 
 
 def deformed(mesh: Mesh, amount: float = 0.1) -> np.ndarray:
-    """A large turn with a random deformation on top."""
+    """A large rotation with a random deformation on top."""
     X = mesh.points + amount * RNG.standard_normal(mesh.points.shape)
     return X @ make_rotation(mesh.dimension, [1, -2, 0.5], 2.0).T + 1.0
 
 
 @MESHES
-def test_an_affine_map_has_its_own_gradient(mesh):
+def test_an_affine_map_gives_its_matrix(mesh):
     A = RNG.standard_normal((mesh.dimension, mesh.dimension))
     F = deformation_gradient(mesh, mesh.points @ A.T + 3.0)
-    assert np.abs(F - A).max() < 1e-14 * 10  # ten operations of numbers near 3
+    assert np.abs(F - A).max() < 1e-14 * 10  # ten operations on numbers near 3
 
 
 @METHOD
 @MESHES
 def test_a_free_body_has_as_many_zero_eigenvalues_as_rigid_motions(mesh, method):
     body = make_solid(mesh, **method)
-    _, K = body.linearize(mesh.points @ make_rotation(mesh.dimension, [1, 2, 3], 1.0).T)  # also where it has turned
+    _, K = body.linearize(mesh.points @ make_rotation(mesh.dimension, [1, 2, 3], 1.0).T)  # also after a rotation
     K = body.pattern.matrix(K).toarray()
     values = np.linalg.eigvalsh(K)
     rigid = {2: 3, 3: 6}[mesh.dimension]
@@ -48,33 +48,33 @@ def test_a_free_body_has_as_many_zero_eigenvalues_as_rigid_motions(mesh, method)
 @METHOD
 @pytest.mark.parametrize("plain", [box((3.0, 3.0, 3.0), (3, 3, 3)), rectangle((3.0, 3.0), (3, 3))], ids=["3D", "2D"])
 def test_patch_test(plain, method):
-    """A homogeneous deformation needs no force on inner nodes, wherever they are; h = 1 m."""
+    """A homogeneous deformation needs no forces on inner nodes, at any positions of these; h = 1 m."""
     X, d = plain.points.copy(), plain.dimension
     inner = np.all((X > 0) & (X < 3), axis=1)
     X[inner] += RNG.uniform(-0.2, 0.2, (inner.sum(), d))
     body = make_solid(Mesh(X, plain.cells), **method)
     f = body.force(X @ (np.eye(d) + 0.1 * RNG.standard_normal((d, d))).T)
     assert np.abs(f[inner]).max() < 1e-13 * E
-    assert np.abs(f[~inner]).max() > 1e-3 * E  # and it was not at rest
+    assert np.abs(f[~inner]).max() > 1e-3 * E  # the body is strained
 
 
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1), (1, -2, 0.5)])
 @METHOD
-def test_a_quarter_turn_costs_force_in_the_linear_law_only(method, axis):
+def test_a_quarter_turn_gives_forces_in_the_linear_law_only(method, axis):
     mesh = make_thesis_bar()
     h2 = 1.5**2  # the cells are 2 x 1.5 x 2 m
     f = np.abs(make_solid(mesh, **method).force(mesh.points @ make_rotation(3, axis, np.pi / 2).T + 5.0)).max() / (
         E * h2
     )
     if method["law"] == "linear":
-        assert 2.9 < f < 4.0  # measured: 2.91 to 3.93 by axis
+        assert 2.9 < f < 4.0  # measured: 2.91 to 3.93, depending on the axis
     else:
         assert f < 1e-12
 
 
 @METHOD
 @MESHES
-def test_forces_turn_with_the_body_unless_linear(mesh, method):
+def test_forces_rotate_with_the_body_unless_linear(mesh, method):
     x, Q = deformed(mesh), make_rotation(mesh.dimension, [0.3, -0.5, 0.8], 2.5)
     body = make_solid(mesh, **method)
     spread = np.abs(body.force(x @ Q.T) - body.force(x) @ Q.T).max() / np.abs(body.force(x)).max()
@@ -125,7 +125,7 @@ def test_forces_are_those_of_the_warped_stiffness(mesh, name):
 
 
 @MESHES
-def test_lumped_and_consistent_mass_weigh_the_same(mesh):
+def test_lumped_and_consistent_mass_have_the_same_weight(mesh):
     weights = {}
     for mass in ("consistent", "lumped"):
         body = make_solid(mesh, mass=mass)
@@ -140,7 +140,7 @@ def test_lumped_and_consistent_mass_weigh_the_same(mesh):
 
 
 @MESHES
-def test_loads_have_the_resultants_that_they_are_of(mesh):
+def test_nodal_loads_have_the_right_resultants(mesh):
     d = mesh.dimension
     b = np.arange(1.0, d + 1)
     assert body_force(mesh, b).sum(axis=0) == pytest.approx(6.0 * b, rel=1e-14)
@@ -152,7 +152,7 @@ def test_loads_have_the_resultants_that_they_are_of(mesh):
     assert normal_traction(mesh, faces[end], 5.0).sum(axis=0)[1] == pytest.approx(5.0 * area, rel=1e-14)
 
 
-def test_a_node_without_a_cell_keeps_its_place_in_the_matrices():
+def test_a_node_without_a_cell_keeps_its_row_in_the_matrices():
     mesh = Mesh(np.concatenate([BOXES["tetrahedra"].points, [[9.0, 9, 9]]]), BOXES["tetrahedra"].cells)
     pattern = assemble_pattern(mesh).pattern
     assert pattern.nodes == len(mesh.points) and pattern.indices[-1] == pattern.nodes - 1
@@ -160,7 +160,7 @@ def test_a_node_without_a_cell_keeps_its_place_in_the_matrices():
 
 
 @pytest.mark.parametrize(
-    ("split", "mass", "wanted"),  # rad/s, measured with another program; Euler-Bernoulli says 8.916
+    ("split", "mass", "wanted"),  # rad/s, measured with another program; Euler-Bernoulli gives 8.916
     [
         ("kuhn", "consistent", (10.424, 12.23)),  # the split breaks the symmetry of the section
         ("kuhn", "lumped", (10.33, 12.05)),
@@ -174,7 +174,7 @@ def test_frequencies_of_the_clamped_bar(split, mass, wanted):
 
 
 @MESHES
-def test_frequencies_of_a_free_body_leave_out_its_rigid_motions(mesh):
+def test_frequencies_of_a_free_body_exclude_rigid_motions(mesh):
     body = make_solid(mesh)
     K, M = (body.pattern.matrix(A).toarray() for A in (body.linearize(mesh.points)[1], body.mass))
     found, modes = lowest_frequencies(body, 4)
@@ -193,8 +193,8 @@ def test_frequencies_of_a_free_body_leave_out_its_rigid_motions(mesh):
         ("alternating", (4, 12, 4), 0.829),
     ],
 )
-def test_a_cantilever_sags_by_the_part_of_beam_theory_that_locking_leaves(split, cells, part):
-    """Linear tets are too stiff in bending: reported, not hidden. Measured with another program, nu = .33."""
+def test_a_cantilever_sags_less_than_beam_theory_because_of_locking(split, cells, part):
+    """Linear tetrahedra are too stiff in bending. The numbers were measured with another program, nu = .33."""
     mesh = box((4.0, 12.0, 4.0), cells, split)
     load = body_force(mesh, np.array([0.0, 0.0, -9810.0]))
     body = make_solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 12.0), load=load)

@@ -1,4 +1,4 @@
-"""Laws of one cell: every derivative against differences, the nearest semidefinite tangent, ghost torque."""
+"""Constitutive laws: derivatives against differences, the nearest semidefinite tangent, spurious torque."""
 
 import numpy as np
 import pytest
@@ -23,12 +23,12 @@ STRETCHES = {
     "inside_out": (0.8, 0.7, -0.2),
     "flat": (1.1, 0.7, 0.0),
 }
-STEP = 1e-6  # differences err by 1e-12 of the third derivative and 1e-10 of rounding
+STEP = 1e-6  # differences have errors of 1e-12 times the third derivative and 1e-10 from rounding
 GOOD = 1e-6
 
 
 def gradients(d: int, stretches: str) -> np.ndarray:
-    """F = Q V diag(s) V^T over turns Q from none to 180 degrees; in the plane with the outer two stretches."""
+    """F = Q V diag(s) V^T with rotations Q by 0 to 180 degrees; in the plane with the first and last stretch."""
     s = np.array(STRETCHES[stretches])[[0, 2] if d == 2 else [0, 1, 2]]
     V = make_rotation(d, [0.3, -0.5, 0.8], 0.7)
     Q = [make_rotation(d, axis, a) for axis in ([1, 2, 3], [-1, 0.2, 0.1]) for a in (0.0, 1.0, 2.5, np.pi)]
@@ -36,7 +36,7 @@ def gradients(d: int, stretches: str) -> np.ndarray:
 
 
 def differences(f, F: np.ndarray) -> np.ndarray:
-    """df/dF by central differences, the last two axes being those of F."""
+    """df/dF by central differences; the last two axes are those of F."""
     d = F.shape[-1]
     out = []
     for unit in np.eye(d * d).reshape(-1, d, d):
@@ -45,7 +45,7 @@ def differences(f, F: np.ndarray) -> np.ndarray:
 
 
 def assert_close(got: np.ndarray, wanted: np.ndarray, relative: float = GOOD) -> None:
-    # of the largest entry, or of E where there is no stress
+    # relative to the largest entry, or to E if there is no stress
     assert np.abs(got - wanted).max() < relative * max(np.abs(wanted).max(), SOFT.youngs_modulus)
 
 
@@ -87,7 +87,7 @@ def test_frozen_tangent_is_the_derivative_of_the_stress_in_a_given_frame(name, d
     C = law.tangent(F, R, "frozen")
     assert_close(C, differences(lambda A: law.stress(A, R), F))
     rotated = np.einsum("eik,klmn,ejm->eiljn", R, make_elasticity_tensor(d, SOFT), R)
-    assert_close(C, rotated, 1e-14)  # T's R K_e R^T: the first index of P and of F turns
+    assert_close(C, rotated, 1e-14)  # T's R K_e R^T: the first index of P and of F is rotated
 
 
 @every_gradient
@@ -141,12 +141,12 @@ def test_small_strain_without_rotation_is_the_same_in_every_law(name, d):
     e = 1e-6 * np.array([[1.0, 0.4, -0.2], [0.4, -2.0, 0.7], [-0.2, 0.7, 0.5]])[:d, :d]
     law, F = LAWS[name], (np.eye(d) + e)[None]
     wanted = 2 * SOFT.mu * e + SOFT.lam * np.trace(e) * np.eye(d)
-    # what is left is of second order, 1e-12 E; Gram-Schmidt's frame is off by the shear, also second order in P
+    # the rest is of second order, 1e-12 E; Gram-Schmidt's frame is off by the shear, also second order in P
     assert np.abs(law.stress(F, law.rotations(F)) - wanted).max() < 2e-11 * SOFT.youngs_modulus
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_a_linear_cell_that_turns_free_of_strain_swells_by_the_square_of_the_secant(d):
+def test_a_linear_cell_that_rotates_without_stress_grows_by_the_square_of_the_secant(d):
     theta = np.radians([0.0, 5.0, 30.0, 60.0, 85.0])
     W = np.zeros((5, d, d))
     W[:, 0, 1], W[:, 1, 0] = -np.tan(theta), np.tan(theta)
@@ -156,7 +156,7 @@ def test_a_linear_cell_that_turns_free_of_strain_swells_by_the_square_of_the_sec
 
 
 @every_gradient
-def test_polar_stress_turns_nothing(d, stretches):
+def test_polar_stress_has_no_torque(d, stretches):
     F, R = at(LAWS["polar"], d, stretches)
     torque = LAWS["polar"].stress(F, R) @ np.swapaxes(F, 1, 2)
     assert np.abs(torque - np.swapaxes(torque, 1, 2)).max() / 2 < 1e-13 * SOFT.youngs_modulus
@@ -164,7 +164,7 @@ def test_polar_stress_turns_nothing(d, stretches):
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize(("order", "ghost"), [((0, 1, 2), 0.0), ((1, 0, 2), 0.09485)])  # of E, nu = .33; measured
-def test_gram_schmidt_stress_turns_a_sheared_cell_by_itself(d, order, ghost):
+def test_gram_schmidt_stress_has_a_torque_on_a_sheared_cell(d, order, ghost):
     F = np.eye(d)[None].copy()
     F[0, 0, 1] = 1.0
     F = F[:, order[:d]][:, :, order[:d]]

@@ -1,4 +1,4 @@
-"""The order in space: a manufactured static solution, held on the whole boundary."""
+"""The order in space: a manufactured static solution with a prescribed boundary."""
 
 import numpy as np
 import pytest
@@ -15,13 +15,13 @@ MATERIAL = Material(1.0, 0.3, 1.0)
 
 
 def error(d: int, n: int, split: str) -> float:
-    """Return the L2 error at the nodes of u = (prod sin pi x_i, 0, 0) on the unit square or cube, n cells a side."""
+    """Return the L2 error at the nodes of u = (prod sin pi x_i, 0, 0) on the unit square or cube, n cells per side."""
     mesh = (rectangle if d == 2 else box)([1.0] * d, [n] * d, split)
     X, mu, lam = mesh.points, MATERIAL.mu, MATERIAL.lam
     s, c = np.sin(np.pi * X), np.cos(np.pi * X)
     exact = np.zeros_like(X)
     exact[:, 0] = s.prod(axis=1)
-    # b = -div sigma of that u
+    # b = -div sigma(u)
     b = np.zeros_like(X)
     b[:, 0] = ((d + 1) * mu + lam) * np.pi**2 * exact[:, 0]
     for j in range(1, d):

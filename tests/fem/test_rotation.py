@@ -1,4 +1,4 @@
-"""Rotations of a deformation gradient: right for every finite matrix, and what tells the two apart."""
+"""Rotations of a deformation gradient: valid for every finite matrix, and the difference between the two methods."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.bodies import make_rotation
 ROTATIONS = {"polar": polar, "gram_schmidt": gram_schmidt}
 RNG = np.random.default_rng(20240607)
 EPS = np.finfo(float).eps
-ROUNDING = 20 * EPS  # of products of two orthonormal 3 x 3 matrices
+ROUNDING = 20 * EPS  # error of products of two orthonormal 3 x 3 matrices
 
 
 def with_singular_values(d: int, values: list[float], count: int = 20) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_a_rotation_comes_out_of_every_finite_matrix(rotation, F):
 @pytest.mark.parametrize("rotation", ROTATIONS)
 @pytest.mark.parametrize("d", [2, 3])
 @given(data=st.data())
-def test_a_rotation_comes_out_of_whatever_floats_there_are(rotation, d, data):
+def test_a_rotation_comes_out_of_any_finite_floats(rotation, d, data):
     numbers = st.floats(allow_nan=False, allow_infinity=False)
     assert_rotations(ROTATIONS[rotation](data.draw(arrays(np.float64, (1, d, d), elements=numbers))))
 
@@ -86,7 +86,7 @@ def test_no_rotation_is_closer_than_the_polar_one(F):
 def test_polar_is_the_best_fit_of_scipy(name):
     F = families(3)[name]
     F = F / np.abs(F).max(axis=(1, 2), keepdims=True)
-    fits = np.stack([Rotation.align_vectors(one.T, np.eye(3))[0].as_matrix() for one in F])
+    fits = np.stack([Rotation.align_vectors(gradient.T, np.eye(3))[0].as_matrix() for gradient in F])
     # both come from an SVD; how well a rotation is determined is (s2 + s3) / s1, here above 1e-3
     assert np.abs(polar(F) - fits).max() < 1e-12
 
@@ -101,16 +101,16 @@ def test_plane_polar_is_that_of_space_with_a_stretched_third_axis(name):
 
 
 @pytest.mark.parametrize("F", FAMILIES)
-def test_gram_schmidt_leaves_an_upper_triangle(F):
+def test_gram_schmidt_gives_an_upper_triangle(F):
     lengths = np.abs(F).max(axis=1, keepdims=True)
-    F = F / np.where(lengths == 0, 1.0, lengths)  # column by column: the directions are all that counts
+    F = F / np.where(lengths == 0, 1.0, lengths)  # column by column: only the directions matter
     T = np.swapaxes(gram_schmidt(F), 1, 2) @ F
     assert np.abs(np.tril(T, -1)).max() < 1e-14
     assert (np.diagonal(T, axis1=1, axis2=2)[:, :-1] > -1e-14).all()  # r_i points along a_i
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_turning_the_body_turns_both_rotations_turning_the_axes_only_polar(d):
+def test_both_rotations_follow_the_body_but_only_polar_follows_the_axes(d):
     F, Q = RNG.standard_normal((50, d, d)), make_rotation(d, [1, -2, 0.5], 2.1)
     for rotation in ROTATIONS.values():
         assert np.abs(rotation(Q @ F) - Q @ rotation(F)).max() < 1e-11  # the worst of 50 is ill-conditioned
@@ -128,7 +128,7 @@ def test_turning_the_body_turns_both_rotations_turning_the_axes_only_polar(d):
         (gram_schmidt, (1, 0), -45.0),
     ],
 )
-def test_shear_of_one_turns_by_what_the_order_of_the_axes_makes_of_it(d, rotation, order, degrees):
+def test_the_rotation_of_a_shear_depends_on_the_order_of_the_axes_for_gram_schmidt_only(d, rotation, order, degrees):
     axes = [*order, 2][:d]
     F = np.eye(d)[None].copy()
     F[0, 0, 1] = 1.0
@@ -140,14 +140,14 @@ def test_shear_of_one_turns_by_what_the_order_of_the_axes_makes_of_it(d, rotatio
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("wanted", [0.0, 1e-9, 0.5, np.pi / 2, 3.0, np.pi - 1e-7, np.pi])
-def test_angle_of_a_rotation_is_its_own_from_zero_to_a_half_turn(d, wanted):
+def test_the_angle_is_exact_from_zero_to_a_half_turn(d, wanted):
     axes = RNG.standard_normal((20, 3))
     R = np.stack([make_rotation(d, axis, sign * wanted) for axis in axes for sign in (1, -1)])
     # entries are rounded to 1e-16, and atan2 of both parts keeps that near 0 and near pi alike
     assert angle(R) == pytest.approx(np.full(40, wanted), abs=4e-15)
 
 
-def test_axial_vector_is_that_of_the_cross_product():
+def test_the_axial_vector_gives_the_cross_product():
     w, a = RNG.standard_normal((2, 3))
     W = np.stack([np.cross(w, unit) for unit in np.eye(3)], axis=1)
     assert np.allclose(W @ a, np.cross(w, a), rtol=1e-14) and np.array_equal(axial(W), w)
