@@ -8,13 +8,13 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh, splu
 from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
-from pipeline.mesh.simplex import component_labels
+from pipeline.mesh.simplex import label_components
 
 # omega^2 of a rigid mode is rounding: below this part of (wave speed / size)^2
 _RIGID = 1e-6
 
 
-def lowest_frequencies(body: Body, count: int = 1) -> tuple[Floats, Floats]:
+def find_lowest_frequencies(body: Body, count: int = 1) -> tuple[Floats, Floats]:
     """Return the lowest elastic frequencies (count,) [rad/s] and their modes (count, n, d), M-normalized.
 
     Rigid modes of unsupported bodies are left out. Raises SolveError if the iteration does not converge.
@@ -22,7 +22,7 @@ def lowest_frequencies(body: Body, count: int = 1) -> tuple[Floats, Floats]:
     K, M = _assemble_free_matrices(body)
     d = body.mesh.dimension
     scale = (body.material.wave_speed / body.mesh.size) ** 2
-    extra = d * (d + 1) // 2 * component_labels(body.mesh)[0]
+    extra = d * (d + 1) // 2 * label_components(body.mesh)[0]
     wanted = count + extra
     if wanted >= K.shape[0] - 1:
         values, vectors = _solve_dense(K, M)

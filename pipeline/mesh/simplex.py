@@ -114,7 +114,7 @@ class Mesh:
         return np.bincount(self.cells.ravel(), weights=share, minlength=len(self.points)).astype(np.float64, copy=False)
 
 
-def quality(mesh: Mesh) -> Floats:
+def measure_quality(mesh: Mesh) -> Floats:
     """Return d inradius / circumradius of every cell (e,): 1 for a regular cell, 0 for a flat one."""
     d = mesh.dimension
     faces = np.array([np.delete(np.arange(d + 1), a) for a in range(d + 1)])
@@ -131,7 +131,7 @@ def quality(mesh: Mesh) -> Floats:
     return np.asarray(d * inradius / np.linalg.norm(center, axis=1))
 
 
-def component_labels(mesh: Mesh) -> tuple[int, Ints]:
+def label_components(mesh: Mesh) -> tuple[int, Ints]:
     """Return the number of connected components and each node's label (n,); a node without cells is a component."""
     a = np.repeat(mesh.cells[:, :1], mesh.dimension, axis=1).ravel()
     b = mesh.cells[:, 1:].ravel()

@@ -9,7 +9,7 @@ from pipeline.mesh.simplex import Mesh
 _OUTWARD = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])}
 
 
-def boundary_faces(mesh: Mesh) -> tuple[Ints, Ints]:
+def find_boundary_faces(mesh: Mesh) -> tuple[Ints, Ints]:
     """Return the boundary faces (f, d), oriented outward, and the cell of each (f,)."""
     d, n = mesh.dimension, len(mesh.points)
     faces = mesh.cells[:, _OUTWARD[d]].reshape(-1, d)

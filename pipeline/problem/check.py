@@ -8,8 +8,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from pipeline.errors import SolveError
-from pipeline.fem.modes import lowest_frequencies
-from pipeline.mesh.simplex import component_labels, quality
+from pipeline.fem.modes import find_lowest_frequencies
+from pipeline.mesh.simplex import label_components, measure_quality
 from pipeline.problem.methods import MODE_FACTORS
 from pipeline.problem.problem import Problem
 from pipeline.stepping.symplectic_euler import element_limit, true_limit
@@ -51,7 +51,7 @@ def check_problem(problem: Problem) -> Check:
     """Return the numbers of a problem; omega_1 is NaN if the body is too large to compute it, or rigid."""
     body = problem.body
     mesh = body.mesh
-    q = quality(mesh)
+    q = measure_quality(mesh)
     omega = _lowest(problem)
     z = omega * problem.dt
     factor = MODE_FACTORS.get(problem.method.stepper, lambda z: complex("nan"))
@@ -60,7 +60,7 @@ def check_problem(problem: Problem) -> Check:
         nodes=len(mesh.points),
         cells=len(mesh.cells),
         held=len(body.supports.nodes),
-        components=component_labels(mesh)[0],
+        components=label_components(mesh)[0],
         total_volume=float(mesh.rest_volumes.sum()),
         smallest_volume=float(mesh.rest_volumes.min()),
         largest_volume=float(mesh.rest_volumes.max()),
@@ -82,7 +82,7 @@ def _lowest(problem: Problem) -> float:
     if len(problem.body.mesh.cells) > _MODE_LIMIT:
         return float("nan")
     try:
-        frequencies, _ = lowest_frequencies(problem.body)
+        frequencies, _ = find_lowest_frequencies(problem.body)
     except SolveError:
         return float("nan")
     return float(frequencies[0]) if len(frequencies) else float("nan")

@@ -12,7 +12,7 @@ from pipeline.fem.body import Body
 from pipeline.fem.loads import body_force, body_force_field, normal_traction
 from pipeline.fem.supports import Motion, PrescribedMotion, RigidMotion, Supports
 from pipeline.mesh.simplex import Mesh
-from pipeline.mesh.surface import boundary_faces
+from pipeline.mesh.surface import find_boundary_faces
 from pipeline.stepping.state import State
 
 AXES = {"x": 0, "y": 1, "z": 2}
@@ -109,7 +109,7 @@ def make_dead_load(case: Case, mesh: Mesh) -> Floats:
         b = case.loads.body_force
         density += b.factor * read_vector(case, "loads.body_force", b.value, d)
     f = body_force(mesh, density)
-    faces, _ = boundary_faces(mesh) if case.loads.traction else (np.zeros((0, d), np.int64), None)
+    faces, _ = find_boundary_faces(mesh) if case.loads.traction else (np.zeros((0, d), np.int64), None)
     for i, spec in enumerate(case.loads.traction):
         chosen = np.zeros(len(mesh.points), dtype=bool)
         chosen[select_nodes(case, f"loads.traction.{i}", spec, mesh)] = True

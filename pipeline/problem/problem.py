@@ -12,7 +12,7 @@ from pipeline.fem.laws import Corotational, Law
 from pipeline.fem.material import Material
 from pipeline.linear.pardiso import load_mkl
 from pipeline.mesh.files import read_mesh
-from pipeline.mesh.simplex import Mesh, component_labels
+from pipeline.mesh.simplex import Mesh, label_components
 from pipeline.problem.conditions import (
     get_python_value,
     make_dead_load,
@@ -203,7 +203,7 @@ def _list_notes(case: Case, mesh: Mesh) -> tuple[str, ...]:
             "method.linear_solver = 'pardiso' needs the mkl package, which is not installed: superlu replaces it; "
             "to install it: pip install 'corotational-pipeline[mkl]'"
         )
-    pieces, _ = component_labels(mesh)
+    pieces, _ = label_components(mesh)
     if pieces > 1:
         notes.append(f"the mesh has {pieces} components")
     return tuple(notes)

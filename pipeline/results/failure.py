@@ -12,7 +12,7 @@ from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.vtu_write import encode_static_parts, encode_vtu
-from pipeline.mesh.simplex import quality
+from pipeline.mesh.simplex import measure_quality
 from pipeline.problem.methods import STEP_LIMITS, find_traits
 from pipeline.problem.problem import Problem
 from pipeline.run.frame import Frame
@@ -125,5 +125,5 @@ def examine_failure(problem: Problem, state: State) -> Failure:
             rotation_angle=measured["rotation_angle"],
             energy_density=body.law.energy_density(F, body.law.rotations(F)),
             rotation_per_step=np.degrees(angle(np.swapaxes(polar(F), 1, 2) @ polar(F_next))),
-            quality=quality(mesh),
+            quality=measure_quality(mesh),
         )

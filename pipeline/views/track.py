@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
 from pipeline.mesh.simplex import Mesh, signed_volumes
-from pipeline.mesh.surface import boundary_faces
+from pipeline.mesh.surface import find_boundary_faces
 from pipeline.series import Series
 from pipeline.system.times import TIME_RTOL
 
@@ -58,7 +58,7 @@ def find_drawn_faces(mesh: Mesh) -> tuple[Ints, Ints]:
     """Return the triangles to draw (f, 3) and the cell behind each (f,)."""
     if mesh.dimension == 2:
         return mesh.cells, np.arange(len(mesh.cells))
-    return boundary_faces(mesh)
+    return find_boundary_faces(mesh)
 
 
 def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda: None) -> Track:

@@ -7,10 +7,10 @@ from scipy.linalg import eigh
 from pipeline.fem.assembly import assemble_pattern
 from pipeline.fem.element import deformation_gradient, nodal_sums
 from pipeline.fem.loads import body_force, normal_traction
-from pipeline.fem.modes import lowest_frequencies
+from pipeline.fem.modes import find_lowest_frequencies
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
-from pipeline.mesh.surface import boundary_faces
+from pipeline.mesh.surface import find_boundary_faces
 from tests.bodies import BOXES, MATERIAL, METHODS, make_clamped_bar, make_rotation, make_solid, make_thesis_bar
 
 E = MATERIAL.youngs_modulus
@@ -144,7 +144,7 @@ def test_nodal_loads_have_the_right_resultants(mesh):
     d = mesh.dimension
     b = np.arange(1.0, d + 1)
     assert body_force(mesh, b).sum(axis=0) == pytest.approx(6.0 * b, rel=1e-14)
-    faces, _ = boundary_faces(mesh)
+    faces, _ = find_boundary_faces(mesh)
     pressure = normal_traction(mesh, faces, 2.0)
     assert np.abs(pressure.sum(axis=0)).max() < 1e-14 * 10  # a closed surface
     end = np.all(mesh.points[faces][:, :, 1] == 3.0, axis=1)
@@ -168,7 +168,7 @@ def test_a_node_without_a_cell_keeps_its_row_in_the_matrices():
     ],
 )
 def test_frequencies_of_the_clamped_bar(split, mass, wanted):
-    found, modes = lowest_frequencies(make_clamped_bar(split=split, mass=mass), 2)
+    found, modes = find_lowest_frequencies(make_clamped_bar(split=split, mass=mass), 2)
     assert found == pytest.approx(wanted, abs=5e-3 + 5e-4)  # as printed: two decimals or three
     assert not modes[:, make_clamped_bar().supports.nodes].any()
 
@@ -177,7 +177,7 @@ def test_frequencies_of_the_clamped_bar(split, mass, wanted):
 def test_frequencies_of_a_free_body_exclude_rigid_motions(mesh):
     body = make_solid(mesh)
     K, M = (body.pattern.matrix(A).toarray() for A in (body.linearize(mesh.points)[1], body.mass))
-    found, modes = lowest_frequencies(body, 4)
+    found, modes = find_lowest_frequencies(body, 4)
     rigid = {2: 3, 3: 6}[mesh.dimension]
     assert found**2 == pytest.approx(eigh(K, M, eigvals_only=True)[rigid : rigid + 4], rel=1e-9)
     flat = modes.reshape(4, -1)

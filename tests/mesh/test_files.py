@@ -14,12 +14,12 @@ from pipeline.errors import MeshError
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.shapes import box
 from pipeline.mesh.simplex import Mesh
-from pipeline.mesh.surface import boundary_faces
+from pipeline.mesh.surface import find_boundary_faces
 from tests.bodies import BOXES, write_case
 
 BOX = box((2.0, 3.0, 1.0), (2, 3, 1))
 TETS = BOX.cells
-FACES, _ = boundary_faces(BOX)  # 44 triangles
+FACES, _ = find_boundary_faces(BOX)  # 44 triangles
 EDGES = FACES[:3, :2]
 TWO = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
 TWO_CELLS = np.array([[0, 1, 2, 3], [1, 4, 2, 3]])

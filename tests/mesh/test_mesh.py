@@ -8,8 +8,8 @@ from pipeline.errors import MeshError
 from pipeline.mesh import shapes
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.shapes import box, rectangle
-from pipeline.mesh.simplex import Mesh, component_labels, quality
-from pipeline.mesh.surface import boundary_faces, outward_areas
+from pipeline.mesh.simplex import Mesh, label_components, measure_quality
+from pipeline.mesh.surface import find_boundary_faces, outward_areas
 from tests.bodies import BOXES, make_thesis_bar
 
 TET = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
@@ -29,7 +29,7 @@ def test_cells_fill_the_box_and_meet_face_to_face(name):
     d = mesh.dimension
     assert mesh.rest_volumes.sum() == pytest.approx(6.0, rel=1e-14)
     assert mesh.node_volumes.sum() == pytest.approx(6.0, rel=1e-14)
-    faces, owners = boundary_faces(mesh)
+    faces, owners = find_boundary_faces(mesh)
     areas = outward_areas(mesh.points, faces)
     # a split that does not match across two cells would count inner faces as boundary
     assert np.linalg.norm(areas, axis=1).sum() == pytest.approx(22.0 if d == 3 else 10.0, rel=1e-14)
@@ -59,14 +59,14 @@ def test_quality_is_the_ratio_of_the_radii(points, wanted):
     if np.linalg.det(points[1:] - points[0]) < 0:
         cells[:, -2:] = cells[:, :-3:-1].copy()
     for scale in (1e-6, 1.0, 1e6):
-        assert quality(Mesh(scale * points, cells)) == pytest.approx([wanted], rel=1e-12)
+        assert measure_quality(Mesh(scale * points, cells)) == pytest.approx([wanted], rel=1e-12)
 
 
 def test_components_are_distinguished():
     two = Mesh(np.concatenate([TET, TET + 5]), np.concatenate([ONE, ONE + 4]))
-    count, labels = component_labels(two)
+    count, labels = label_components(two)
     assert count == 2 and labels.tolist() == [0] * 4 + [1] * 4
-    assert component_labels(make_thesis_bar())[0] == 1
+    assert label_components(make_thesis_bar())[0] == 1
 
 
 def test_a_mesh_cannot_be_changed():

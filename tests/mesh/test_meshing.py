@@ -7,8 +7,8 @@ import pytest
 
 from pipeline import build, frames, load_case
 from pipeline.mesh.files import read_mesh
-from pipeline.mesh.simplex import component_labels, quality
-from pipeline.mesh.surface import boundary_faces
+from pipeline.mesh.simplex import label_components, measure_quality
+from pipeline.mesh.surface import find_boundary_faces
 
 MESHES = Path(__file__).resolve().parents[2] / "cases" / "meshes"
 COUNTS = {"mushroom": (219, 656), "mushroom_sliver": (219, 656), "armadillo": (285, 787)}  # thesis, 7.1.3 and 7.1.4
@@ -55,8 +55,8 @@ def agrees(value: float, wanted: str) -> bool:
 def test_a_mesh_has_the_published_counts_and_is_one_sound_body(name):
     mesh = read_mesh(MESHES / f"{name}.vtu")
     assert (len(mesh.points), len(mesh.cells)) == COUNTS[name] and mesh.notes == ()
-    assert component_labels(mesh)[0] == 1 and (mesh.rest_volumes > 0).all()
-    faces, _ = boundary_faces(mesh)
+    assert label_components(mesh)[0] == 1 and (mesh.rest_volumes > 0).all()
+    faces, _ = find_boundary_faces(mesh)
     edges, shared = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1), axis=0, return_counts=True)
     assert (shared == 2).all()  # the surface is closed
     assert len(np.unique(faces)) - len(edges) + len(faces) == 2  # and has no handles
@@ -64,7 +64,7 @@ def test_a_mesh_has_the_published_counts_and_is_one_sound_body(name):
 
 @pytest.mark.parametrize(("name", "worst"), [("mushroom", 0.61), ("armadillo", 0.53)])
 def test_a_mesh_has_good_cells(name, worst):
-    q = quality(mesh_of(name))
+    q = measure_quality(mesh_of(name))
     assert q.min() > worst > 0.05  # 0.05 is asked for
     assert np.median(q) > 0.87 > 0.4
 
@@ -73,8 +73,8 @@ def test_the_sliver_differs_from_the_mushroom_by_one_node_inside():
     sliver, mushroom = mesh_of("mushroom_sliver"), mesh_of("mushroom")
     assert np.array_equal(sliver.cells, mushroom.cells)
     moved = np.flatnonzero((sliver.points != mushroom.points).any(axis=1))
-    assert moved.size == 1 and moved[0] not in boundary_faces(mushroom)[0]
-    q = np.sort(quality(sliver))
+    assert moved.size == 1 and moved[0] not in find_boundary_faces(mushroom)[0]
+    q = np.sort(measure_quality(sliver))
     assert q[0] < 0.01 < 0.1 < q[1]
 
 
@@ -107,7 +107,7 @@ def test_the_script_still_makes_the_counts(name):
     mesh = make_mesh(SHAPES[name]())  # which raises where counts or surface are wrong
     assert (len(mesh.points), len(mesh.cells)) == COUNTS[name]
     # with the versions in constraints.txt it is the committed mesh to the last bit; others may round another way
-    assert quality(mesh).min() > 0.3 and np.median(quality(mesh)) > 0.8
+    assert measure_quality(mesh).min() > 0.3 and np.median(measure_quality(mesh)) > 0.8
 
 
 def test_the_script_still_makes_the_sliver():

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.errors import CaseError
-from pipeline.mesh.surface import boundary_faces, outward_areas
+from pipeline.mesh.surface import find_boundary_faces, outward_areas
 from pipeline.run.frame_iterator import frames
 from tests.bodies import PLANAR, build_problem, list_states
 
@@ -245,7 +245,7 @@ def test_a_traction_is_on_the_faces_of_the_boundary_whose_corners_are_all_select
     )
     half = {"above": {"axis": "y", "at": 1.5}, "normal_traction": 5.0}
     one = build_problem(tmp_path, **UNLOADED | {"loads": {"traction": [half]}, "mesh": mesh})
-    faces, _ = boundary_faces(one.body.mesh)
+    faces, _ = find_boundary_faces(one.body.mesh)
     X = one.body.mesh.points
     chosen = faces[(X[faces][:, :, 1] > 1.5).all(axis=1)]
     assert len(chosen) == 8 + 4 * 4  # the end, and the row of squares beside it on four sides, in triangles

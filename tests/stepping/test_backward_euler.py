@@ -10,7 +10,7 @@ from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.loads import body_force
-from pipeline.fem.modes import lowest_frequencies
+from pipeline.fem.modes import find_lowest_frequencies
 from pipeline.fem.rotation import Rotation
 from pipeline.linear.cg import make_block_jacobi_cg
 from pipeline.linear.solver import RestState, SystemSettings
@@ -66,7 +66,7 @@ def test_free_fall_is_its_closed_form(mesh, method, dt):
 def test_a_mode_decays_and_lags_as_backward_euler_says(mode, z):
     """w = omega q + i q' is divided by 1 + i z in a step: amplitude 1/sqrt(1 + z^2), phase atan z."""
     body = make_clamped_bar()
-    found, shapes = lowest_frequencies(body, mode + 1)
+    found, shapes = find_lowest_frequencies(body, mode + 1)
     omega, shape = found[mode], shapes[mode]
     X, dual = body.mesh.points, body.momentum(shape)
     w = [
@@ -195,7 +195,7 @@ def test_one_solve_is_the_thesis_formula_with_corrected_signs():
 
 def test_backward_euler_is_of_order_one_if_steps_resolve_the_motion():
     body = make_clamped_bar()
-    found, shapes = lowest_frequencies(body)
+    found, shapes = find_lowest_frequencies(body)
     t = 0.4 / found[0]
     ends = [list_states(body, t / n, n, found[0] * shapes[0])[-1].x - body.mesh.points for n in (16, 32, 64)]
     exact = np.sin(0.4) * shapes[0]

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pipeline.fem.modes import lowest_frequencies
+from pipeline.fem.modes import find_lowest_frequencies
 from pipeline.fem.supports import RigidMotion
 from pipeline.linear.work import Work
 from pipeline.mesh.shapes import box, rectangle
@@ -27,7 +27,7 @@ def root(z: float) -> complex:
 def test_a_mode_decays_and_lags_by_the_larger_root(mode, z):
     """w = omega q + i q' of one mode, started on the branch of the larger root, for which the squared formula holds."""
     body = make_clamped_bar()
-    found, shapes = lowest_frequencies(body, mode + 1)
+    found, shapes = find_lowest_frequencies(body, mode + 1)
     omega, shape = found[mode], shapes[mode]
     X, dual = body.mesh.points, body.momentum(shape)
     G = root(z)
@@ -70,7 +70,7 @@ def make_swinging_beam(d: int) -> tuple:
     """
     mesh = rectangle((1.0, 2.0), (1, 2)) if d == 2 else box((1.0, 2.0, 1.0), (1, 2, 1))
     body = make_solid(mesh, held=np.flatnonzero(mesh.points[:, 1] == 0.0), **METHODS["polar"])
-    found, shapes = lowest_frequencies(body)
+    found, shapes = find_lowest_frequencies(body)
     return body, found[0], found[0] * shapes[0] / np.abs(shapes[0]).max()
 
 

@@ -179,9 +179,9 @@ def test_amplitude_and_phase_of_the_first_mode():
     assert isinstance(mode, FirstMode) and mode.omega == pytest.approx(10.424, rel=1e-3)
     shape = np.zeros_like(body.mesh.points)
     t = np.linspace(0, 2, 40)
-    from pipeline.fem.modes import lowest_frequencies
+    from pipeline.fem.modes import find_lowest_frequencies
 
-    shape = lowest_frequencies(body)[1][0]
+    shape = find_lowest_frequencies(body)[1][0]
 
     def swinging(size, late):
         angle = mode.omega * t - late

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.errors import OutputError
 from pipeline.mesh.simplex import Mesh
-from pipeline.mesh.surface import boundary_faces
+from pipeline.mesh.surface import find_boundary_faces
 from pipeline.series import Series, read_series
 from pipeline.views.camera import fit_camera
 from pipeline.views.movie.layout import PictureLayout, choose_layout
@@ -297,7 +297,7 @@ def test_the_camera_sees_the_whole_motion_but_not_an_explosion(tmp_path):
 
 def test_the_outline_of_a_box_is_its_twelve_edges():
     mesh = Mesh(*make_box((2, 3, 2)))
-    faces, _ = boundary_faces(mesh)
+    faces, _ = find_boundary_faces(mesh)
     creases, contour = find_sharp_edges(mesh.points.astype(np.float32), faces, np.array([0.8, -0.5, 0.3]))
     assert len(creases) == 4 * (2 + 3 + 2)
     assert len(contour) == 0

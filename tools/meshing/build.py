@@ -12,7 +12,7 @@ import meshio
 import numpy as np
 
 from pipeline.errors import MeshError
-from pipeline.mesh.simplex import Mesh, component_labels, quality
+from pipeline.mesh.simplex import Mesh, label_components, measure_quality
 from tools.meshing.improve import improve
 from tools.meshing.points import carve, find_defects, make_points
 from tools.meshing.shapes import Floats, Ints, Shape, make_armadillo, make_mushroom
@@ -27,7 +27,7 @@ def make_mesh(shape: Shape) -> Mesh:
     points = make_points(shape)
     points, cells = improve(shape, points, carve(shape, points))
     mesh = Mesh(points, cells, name=shape.name)
-    found = len(mesh.points), len(mesh.cells), component_labels(mesh)[0], find_defects(cells, len(points))[0]
+    found = len(mesh.points), len(mesh.cells), label_components(mesh)[0], find_defects(cells, len(points))[0]
     if found != (shape.nodes, shape.cells, 1, 0):
         raise ValueError(f"{shape.name}: nodes, cells, components, defects are {found}")
     return mesh
@@ -44,7 +44,7 @@ def add_sliver(mesh: Mesh) -> Mesh:
         for cell in np.flatnonzero((mesh.cells == node).any(axis=1)):
             points = _flatten_cell(mesh, int(node), mesh.cells[cell])
             try:
-                q = quality(Mesh(points, mesh.cells))
+                q = measure_quality(Mesh(points, mesh.cells))
             except MeshError:  # the move inverts a neighbour
                 continue
             others = float(np.delete(q, cell).min())
@@ -77,7 +77,7 @@ def main(folder: Path) -> None:
         seconds = time.perf_counter() - began
         for made in (mesh, add_sliver(mesh)) if shape.name == "mushroom" else (mesh,):
             write_mesh(made, folder)
-            q = quality(made)
+            q = measure_quality(made)
             counts = f"{len(made.points)} nodes, {len(made.cells)} tetrahedra"
             print(f"{made.name}: {counts}, 3r/R worst {q.min():.4f}, median {np.median(q):.3f}, {seconds:.0f} s")
 

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
-from pipeline.fem.modes import lowest_frequencies
+from pipeline.fem.modes import find_lowest_frequencies
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.problem import Problem
 from pipeline.studies.thesis.formulas_as_printed import force_6_12, step_4_48, stiffness_4_30, stiffness_4_32
@@ -101,7 +101,7 @@ def run_load_sign(problem: Problem) -> tuple[Numbers, Numbers]:
     """Return the numbers of T 4.48: growth of the first mode a step, largest displacement, and rise under gravity."""
     system, dt = make_dense(problem), problem.dt
     K = system.restrict(stiffness_4_30(problem.body.mesh, problem.body.material, corrected=True))
-    omega, modes = lowest_frequencies(problem.body)
+    omega, modes = find_lowest_frequencies(problem.body)
     z = float(omega[0]) * dt
     zero = np.zeros_like(system.f)
     theory = {False: 1 + z / np.hypot(1, z), True: 1 / np.hypot(1, z)}

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.fem.modes import lowest_frequencies
+from pipeline.fem.modes import find_lowest_frequencies
 from pipeline.problem.problem import Problem
 from pipeline.problem.stage_solvers import make_stepper
 from pipeline.stepping.backward_euler import damping_ratio
@@ -29,7 +29,7 @@ class DampedMode:
 
 def measure_damping(problem: Problem, count: int = 6) -> list[DampedMode]:
     """Return the lowest modes of a problem of the linear law, without its loads and initial state."""
-    omegas, shapes = lowest_frequencies(problem.body, count)
+    omegas, shapes = find_lowest_frequencies(problem.body, count)
     return [
         DampedMode(float(omega), z := float(omega) * problem.dt, damping_ratio(z), _measure_ratio(problem, shape))
         for omega, shape in zip(omegas, shapes, strict=True)

@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
-from pipeline.fem.modes import lowest_frequencies
+from pipeline.fem.modes import find_lowest_frequencies
 from pipeline.studies.tradeoff.motion import RecordedMotion
 
 # unit and meaning of every measure
@@ -47,7 +47,7 @@ class FirstMode:
 def find_first_mode(body: Body) -> FirstMode | None:
     """Return the lowest elastic mode of a body; None if it has none or none is found."""
     try:
-        omegas, modes = lowest_frequencies(body)
+        omegas, modes = find_lowest_frequencies(body)
     except SolveError:
         return None
     return FirstMode(body.momentum(modes[0]), float(omegas[0])) if len(omegas) else None

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import SolveError
-from pipeline.fem.modes import lowest_frequencies
+from pipeline.fem.modes import find_lowest_frequencies
 from pipeline.problem.methods import STEPPERS
 from pipeline.problem.problem import Problem
 from pipeline.problem.stage_solvers import make_stepper
@@ -33,7 +33,7 @@ def find_steps_per_period(settings: Mapping[str, Any]) -> dict[str, Any]:
     """
     problem = build_problem(settings, "case")
     stepper, tolerance = problem.method.stepper, float(settings["tolerance"])
-    omegas, modes = lowest_frequencies(problem.body)
+    omegas, modes = find_lowest_frequencies(problem.body)
     if not len(omegas):
         raise SolveError("the body has no elastic mode")
     omega, mode = float(omegas[0]), modes[0]
