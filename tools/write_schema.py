@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 
-from pipeline.problem.schema import case_schema, choice_table, key_table
+from pipeline.problem.json_schema import case_schema, choice_table, key_table
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -1,8 +1,6 @@
 """A TOML file becomes a validated, frozen Case with overrides and variants; no numerics are imported here."""
 
-from pipeline.case.model import Case, load_case
-from pipeline.case.overrides import parse_override
-from pipeline.case.specs import (
+from pipeline.case.keys import (
     BodyForceSpec,
     HalfSpaceSpec,
     InitialSpec,
@@ -20,6 +18,8 @@ from pipeline.case.specs import (
     SupportSpec,
     TractionSpec,
 )
+from pipeline.case.model import Case, load_case
+from pipeline.case.overrides import parse_override
 
 __all__ = [
     "BodyForceSpec",

@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from pipeline.case.specs import CaseFile
+from pipeline.case.keys import CaseFile
 from pipeline.case.values import join_key, suggest_toml
 from pipeline.errors import quote_value
 

@@ -17,7 +17,7 @@ def add_verbs(verbs: Any, shared: SharedOptions) -> None:
 
 
 def _schema(options: argparse.Namespace) -> int:
-    from pipeline.problem.schema import case_schema, choice_table, key_table
+    from pipeline.problem.json_schema import case_schema, choice_table, key_table
 
     if options.markdown:
         print(f"{key_table()}\n{choice_table()}", end="")

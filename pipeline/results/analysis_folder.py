@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.analysis.compare import join_series, plan_comparison
-from pipeline.analysis.measure import write_statistics
 from pipeline.analysis.node_distance import NodeDistance
+from pipeline.analysis.statistics import write_statistics
 from pipeline.errors import SeriesError
 from pipeline.formats.netcdf import open_dataset
 from pipeline.series import Series, read_series

@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
-from pipeline.case.specs import OutputSpec
+from pipeline.case.keys import OutputSpec
 from pipeline.errors import OutputError
 from pipeline.problem.problem import Problem
 from pipeline.run.measures import QUANTILES

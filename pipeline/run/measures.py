@@ -89,11 +89,11 @@ def measure_cells(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
     """Return the signed volume and the angle of the polar rotation [rad] of each cell (e,) at positions x (n, d)."""
     if mesh.dimension == 2:
         return measure_cells_by_numpy(mesh, x)
-    from pipeline.fem.kernels import measures as measure_kernels
+    from pipeline.fem.kernels import volumes_and_angles as measure_kernels
 
     volumes, angles = np.empty((2, len(mesh.cells)))
     x = np.ascontiguousarray(x, dtype=np.float64)
-    measure_kernels.volumes_and_angles(x, mesh.cells, mesh.shape_gradients, volumes, angles)
+    measure_kernels.measure_cells(x, mesh.cells, mesh.shape_gradients, volumes, angles)
     return volumes, angles
 
 

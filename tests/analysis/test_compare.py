@@ -5,7 +5,7 @@ import pytest
 import xarray
 
 from pipeline.analysis.compare import join_series, join_variants, plan_comparison
-from pipeline.analysis.measure import write_statistics
+from pipeline.analysis.statistics import write_statistics
 from pipeline.errors import OutputError, SeriesError
 from pipeline.formats.netcdf import read_dataset
 from tests.bodies import assert_conventional

@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.arrays import Ints
 from pipeline.case import Case
-from pipeline.case.specs import ONLY_VARIANT, MeshSpec
+from pipeline.case.keys import ONLY_VARIANT, MeshSpec
 from pipeline.problem.methods import IMPLICIT_STEPPERS, STEP_LIMITS, STEPPERS, find_traits
 from pipeline.problem.problem import build, resolve_mass
 from pipeline.studies.coverage import list_left_out

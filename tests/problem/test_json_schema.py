@@ -10,7 +10,7 @@ import pytest
 from pipeline.cli import main
 from pipeline.errors import CaseError
 from pipeline.problem import methods
-from pipeline.problem.schema import case_schema, choice_table, iterate_keys, key_table
+from pipeline.problem.json_schema import case_schema, choice_table, iterate_keys, key_table
 from tests.bodies import case_document, write_case
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from pipeline.case.specs import VARIANT_SECTIONS, CaseFile
+from pipeline.case.keys import VARIANT_SECTIONS, CaseFile
 from pipeline.problem.methods import describe_choices
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"

@@ -11,7 +11,7 @@ from pipeline.fem.kernels.tetrahedron import compute_gradients
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def volumes_and_angles(x, cells, G, volumes, angles):
+def measure_cells(x, cells, G, volumes, angles):
     """Write det D / 6, D = (x_1 - x_0, x_2 - x_0, x_3 - x_0), and the angle of F's polar rotation of every cell.
 
     G (e, 4, 3) are the gradients of all corners; 2 sin and 2 cos of the angle are |axial(R - R^T)| and tr R - 1.
