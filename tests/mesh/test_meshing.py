@@ -1,4 +1,4 @@
-"""The bodies of cases/meshes: what they must be, the script that makes them, and the seeds' numbers on them."""
+"""The bodies of cases/meshes: their properties, the program that makes them, and the seeds' numbers on them."""
 
 from pathlib import Path
 
@@ -13,9 +13,9 @@ from pipeline.mesh.surface import find_boundary_faces
 MESHES = Path(__file__).resolve().parents[2] / "cases" / "meshes"
 COUNTS = {"mushroom": (219, 656), "mushroom_sliver": (219, 656), "armadillo": (285, 787)}  # thesis, 7.1.3 and 7.1.4
 
-# (case, variant): largest volume ratio of a tet over the run, and where the number comes from.
-# "measured" was measured on these meshes with another program of the same method before this one; "here" was read
-# off this program and guards against change only. What was published is beside it.
+# (case, variant): largest volume ratio of a tet over the run, and its source: "measured" on these meshes with another
+# program of the same method before this one, or "here", by this program, to guard against change; and the published
+# number.
 LARGEST = {
     ("mushroom_as_printed", "linear"): ("1.026", "measured; published 2.25"),
     ("mushroom_as_printed", "gram_schmidt"): ("1.0256", "measured; published 'infinitesimal'"),
@@ -40,12 +40,12 @@ LARGEST_CONVERGED = {
 }
 
 
-def mesh_of(name):
+def read_committed(name):
     return read_mesh(MESHES / f"{name}.vtu")
 
 
-def agrees(value: float, wanted: str) -> bool:
-    return abs(value - float(wanted)) <= 0.51 * 10.0 ** -len(wanted.split(".")[1])  # half a unit of the last digit
+def is_rounded_to(value: float, text: str) -> bool:
+    return abs(value - float(text)) <= 0.51 * 10.0 ** -len(text.split(".")[1])  # half a unit of the last digit
 
 
 # The meshes
@@ -64,13 +64,13 @@ def test_a_mesh_has_the_published_counts_and_is_one_sound_body(name):
 
 @pytest.mark.parametrize(("name", "worst"), [("mushroom", 0.61), ("armadillo", 0.53)])
 def test_a_mesh_has_good_cells(name, worst):
-    q = measure_quality(mesh_of(name))
-    assert q.min() > worst > 0.05  # 0.05 is asked for
+    q = measure_quality(read_committed(name))
+    assert q.min() > worst > 0.05  # the requirement is 0.05
     assert np.median(q) > 0.87 > 0.4
 
 
 def test_the_sliver_differs_from_the_mushroom_by_one_node_inside():
-    sliver, mushroom = mesh_of("mushroom_sliver"), mesh_of("mushroom")
+    sliver, mushroom = read_committed("mushroom_sliver"), read_committed("mushroom")
     assert np.array_equal(sliver.cells, mushroom.cells)
     moved = np.flatnonzero((sliver.points != mushroom.points).any(axis=1))
     assert moved.size == 1 and moved[0] not in find_boundary_faces(mushroom)[0]
@@ -85,7 +85,7 @@ def test_a_mesh_is_written_in_the_file_and_not_appended(name):
 
 
 def test_the_bodies_stand_upright_and_the_scale_gives_the_published_largest_tet(cases_folder):
-    mushroom, armadillo = mesh_of("mushroom"), mesh_of("armadillo")
+    mushroom, armadillo = read_committed("mushroom"), read_committed("armadillo")
     for mesh in (mushroom, armadillo):
         assert np.ptp(mesh.points, axis=0).argmax() == 2
     assert (mushroom.points[:, 2] < -10).sum() == 20
@@ -101,19 +101,21 @@ def test_the_bodies_stand_upright_and_the_scale_gives_the_published_largest_tet(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mushroom", "armadillo"])
-def test_the_script_still_makes_the_counts(name):
+def test_the_program_still_makes_the_counts(name):
     from tools.meshing.build import SHAPES, make_mesh
 
-    mesh = make_mesh(SHAPES[name]())  # which raises where counts or surface are wrong
+    mesh = make_mesh(SHAPES[name]())  # raises ValueError if counts or surface are wrong
     assert (len(mesh.points), len(mesh.cells)) == COUNTS[name]
     # with the versions in constraints.txt it is the committed mesh to the last bit; others may round another way
     assert measure_quality(mesh).min() > 0.3 and np.median(measure_quality(mesh)) > 0.8
 
 
-def test_the_script_still_makes_the_sliver():
+def test_the_program_still_makes_the_sliver():
     from tools.meshing.build import add_sliver
 
-    assert add_sliver(mesh_of("mushroom")).points == pytest.approx(mesh_of("mushroom_sliver").points, abs=1e-9)
+    assert add_sliver(read_committed("mushroom")).points == pytest.approx(
+        read_committed("mushroom_sliver").points, abs=1e-9
+    )
 
 
 # The motions
@@ -121,18 +123,18 @@ def test_the_script_still_makes_the_sliver():
 
 @pytest.mark.parametrize(("case", "variant"), LARGEST)
 def test_largest_growth_of_a_tet(ratios, case, variant):
-    wanted, _ = LARGEST[case, variant]
+    expected, _ = LARGEST[case, variant]
     J = ratios(case, variant)
     assert len(J) == 101 and np.all(J[0] == 1.0)
-    assert agrees(J.max(), wanted), J.max()
+    assert is_rounded_to(J.max(), expected), J.max()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", LARGEST_CONVERGED)
-def test_largest_growth_of_a_tet_where_every_step_is_solved(ratios, case):
+def test_largest_growth_of_a_tet_with_converged_steps(ratios, case):
     J = ratios(case, "converged")
-    assert agrees(J.max(), LARGEST_CONVERGED[case][0]), J.max()
-    assert J.max() <= ratios(case, "polar").max() + 1e-4  # what one solve adds of its own
+    assert is_rounded_to(J.max(), LARGEST_CONVERGED[case][0]), J.max()
+    assert J.max() <= ratios(case, "polar").max() + 1e-4  # the spurious growth of one solve
 
 
 @pytest.mark.parametrize("case", ["mushroom", "armadillo"])
@@ -142,7 +144,7 @@ def test_no_tet_inverts_and_the_linear_law_swells_most(ratios, case):
     assert linear.max() - 1 > 5 * max(J.max() - 1 for J in others)
 
 
-def test_what_of_the_armadillo_is_not_reproduced(ratios, cases_folder):
+def test_the_part_of_the_armadillo_that_is_not_reproduced(ratios, cases_folder):
     """Published: the tet of 5446 m3 grows to 3.45e4 m3 at step 26."""
     J = ratios("armadillo", "linear")
     step, cell = np.unravel_index(J.argmax(), J.shape)
@@ -153,7 +155,7 @@ def test_what_of_the_armadillo_is_not_reproduced(ratios, cases_folder):
 
 @pytest.mark.parametrize("variant", ["linear", "gram_schmidt", "polar", "converged"])
 def test_the_mushroom_with_a_sliver_moves_as_the_one_without(cases_folder, variant):
-    """A cell of quality 3e-4 disturbs its neighbours only; its own node is another point of the body."""
+    """A cell of quality 3e-4 only disturbs its neighbors; its own node is another point of the body."""
     ends = []
     for name in ("mushroom", "mushroom_sliver"):
         overrides = {"mesh.file": f"meshes/{name}.vtu", "schedule.frames": 14}

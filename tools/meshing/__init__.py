@@ -1,1 +1,1 @@
-"""How cases/meshes/*.vtu were made; nothing here runs in the pipeline or in its quick tests."""
+"""The program that made cases/meshes/*.vtu; the package does not use it."""

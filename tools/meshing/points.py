@@ -1,7 +1,7 @@
 """The exact number of nodes on and in a shape, and the tetrahedra of their Delaunay triangulation that lie inside.
 
 Nodes are generators of centroidal Voronoi tessellations by Lloyd's iteration over samples: first on the surface, then
-inside with the surface held.
+inside with the surface fixed.
 """
 
 import numpy as np
@@ -18,33 +18,35 @@ _SURFACE_SAMPLES, _VOLUME_SAMPLES = 40_000, 60_000
 def make_points(shape: Shape) -> Floats:
     """Return the nodes (n, 3): features, then the rest of the surface, then the interior."""
     rng, sampler = np.random.default_rng(shape.seed), np.random.default_rng(0)
-    on, within = _sample_surface(shape, sampler), _sample_volume(shape, sampler)
-    # a density of h^-(dimension + 2) has cells of size h
-    on_weight, within_weight = shape.spacing(on) ** -4, shape.spacing(within) ** -5
+    surface_samples, volume_samples = _sample_surface(shape, sampler), _sample_volume(shape, sampler)
+    # a density of h^-(dimension + 2) gives cells of size h
+    surface_weight, volume_weight = shape.spacing(surface_samples) ** -4, shape.spacing(volume_samples) ** -5
     features = shape.features
     count = shape.surface_nodes - len(features)
-    surface = _run_lloyd(on, on_weight, count, rng, held=features, iterations=60, shape=shape)
+    surface = _run_lloyd(surface_samples, surface_weight, count, rng, fixed=features, iterations=60, shape=shape)
     surface = np.vstack([features, project(shape.distance, surface, 6)])
-    interior = _run_lloyd(within, within_weight, shape.nodes - shape.surface_nodes, rng, held=surface, iterations=40)
+    interior = _run_lloyd(
+        volume_samples, volume_weight, shape.nodes - shape.surface_nodes, rng, fixed=surface, iterations=40
+    )
     return np.vstack([surface, interior])
 
 
 def _sample_surface(shape: Shape, rng: np.random.Generator) -> Floats:
-    """Return points of a thin shell, projected onto the surface."""
-    found: list[Floats] = []
-    while sum(map(len, found)) < _SURFACE_SAMPLES:
+    """Return points of a thin shell about the surface, projected onto it."""
+    batches: list[Floats] = []
+    while sum(map(len, batches)) < _SURFACE_SAMPLES:
         p = shape.low + (shape.high - shape.low) * rng.random((_SURFACE_SAMPLES * 8, 3))
-        found.append(p[np.abs(shape.distance(p)) < 0.35])
-    p = project(shape.distance, np.concatenate(found)[:_SURFACE_SAMPLES])
+        batches.append(p[np.abs(shape.distance(p)) < 0.35])
+    p = project(shape.distance, np.concatenate(batches)[:_SURFACE_SAMPLES])
     return p[np.abs(shape.distance(p)) < 1e-2]
 
 
 def _sample_volume(shape: Shape, rng: np.random.Generator) -> Floats:
-    found: list[Floats] = []
-    while sum(map(len, found)) < _VOLUME_SAMPLES:
+    batches: list[Floats] = []
+    while sum(map(len, batches)) < _VOLUME_SAMPLES:
         p = shape.low + (shape.high - shape.low) * rng.random((_VOLUME_SAMPLES * 4, 3))
-        found.append(p[shape.distance(p) < 0])
-    return np.concatenate(found)[:_VOLUME_SAMPLES]
+        batches.append(p[shape.distance(p) < 0])
+    return np.concatenate(batches)[:_VOLUME_SAMPLES]
 
 
 def _run_lloyd(
@@ -53,14 +55,14 @@ def _run_lloyd(
     count: int,
     rng: np.random.Generator,
     *,
-    held: Floats,
+    fixed: Floats,
     iterations: int,
     shape: Shape | None = None,
 ) -> Floats:
-    """Return `count` generators beside the held ones, moved to their centroids; on the surface where shape is given."""
+    """Return `count` generators beside the fixed ones, moved to their centroids; with a shape, on its surface."""
     moving = samples[rng.choice(len(samples), count, replace=False, p=weight / weight.sum())].copy()
     for _ in range(iterations):
-        both = np.vstack([moving, held])
+        both = np.vstack([moving, fixed])
         _, owner = cKDTree(both).query(samples)
         total = np.bincount(owner, weight, len(both))
         moment = np.stack([np.bincount(owner, weight * samples[:, i], len(both)) for i in range(3)], 1)
@@ -80,16 +82,16 @@ def carve(shape: Shape, points: Floats) -> Ints:
     cells[negative] = cells[negative][:, [0, 2, 1, 3]]
     corners = points[cells]
     longest = np.sqrt(((corners[:, :, None] - corners[:, None]) ** 2).sum(-1).max((1, 2)))
-    at_centre = shape.distance(corners.mean(1))
+    at_center = shape.distance(corners.mean(1))
     # the midpoints of the edges find long cells that bridge a gap
     middles = (corners[:, [0, 0, 0, 1, 1, 2]] + corners[:, [1, 2, 3, 2, 3, 3]]) / 2
     at_edges = shape.distance(middles.reshape(-1, 3)).reshape(-1, 6).max(1)
-    score = np.maximum(at_centre / longest + 0.02, at_edges / longest - 0.22)
+    score = np.maximum(at_center / longest + 0.02, at_edges / longest - 0.22)
     return _repair(cells, score, len(points))
 
 
 def _repair(cells: Ints, score: Floats, nodes: int) -> Ints:
-    """Return the cells of negative score, borderline ones toggled while that leaves fewer defects."""
+    """Return the cells of negative score; borderline ones are toggled as long as that leaves fewer defects."""
     keep = score < 0
     count, where = find_defects(cells[keep], nodes)
     for _ in range(60):
@@ -112,7 +114,7 @@ def _repair(cells: Ints, score: Floats, nodes: int) -> Ints:
 
 
 def find_defects(cells: Ints, nodes: int) -> tuple[int, set[int]]:
-    """Return the number of places where the surface is no closed manifold or a node unused, and the nodes there."""
+    """Return the number of places where the surface is not a closed manifold or a node is unused, and their nodes."""
     faces = np.sort(cells[:, OUTWARD].reshape(-1, 3), 1)
     _, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
     surface = faces[first[count == 1]]
@@ -126,7 +128,7 @@ def find_defects(cells: Ints, nodes: int) -> tuple[int, set[int]]:
 
 
 def _count_fans(surface: Ints, nodes: int) -> Ints:
-    """Return for every node (n,) how many fans of triangles meet there: 1 on a manifold, 0 off the surface."""
+    """Return the number of fans of triangles that meet at every node (n,): 1 on a manifold, 0 off the surface."""
     half_edges, corners = [], []
     for a, b in ((0, 1), (1, 2), (0, 2)):
         key = (surface[:, a] * nodes + surface[:, b]) * 2

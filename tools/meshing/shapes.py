@@ -14,7 +14,7 @@ Field = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class Shape:
-    """What a mesh is made of and what it must come out as: counts, a distance, a spacing, a box and a seed.
+    """The counts that a mesh must have, and its distance function, spacing, bounding box and seed.
 
     `features` are points that must be nodes: rims and tips, which even spacing would round off.
     """
@@ -107,7 +107,7 @@ def _measure_mushroom(p: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Part:
-    """A rounded cone from `start` to `end`, or, where `radii` is given, an ellipsoid about `start`."""
+    """A rounded cone from `start` to `end`, or, with `radii`, an ellipsoid about `start`."""
 
     start: tuple[float, float, float]
     end: tuple[float, float, float]
@@ -116,14 +116,14 @@ class Part:
     blend: float
     radii: tuple[float, float, float] | None = None
 
-    def tip(self, *, back: bool = False) -> Floats:
-        """Return the point furthest along the cone's axis, or furthest back."""
+    def find_tip(self, *, back: bool = False) -> Floats:
+        """Return the farthest point along the cone's axis, or the farthest back."""
         a, b = np.array(self.start), np.array(self.end)
         d = (b - a) / np.linalg.norm(b - a)
         return a - self.start_radius * d if back else b + self.end_radius * d
 
-    def row(self) -> list[float]:
-        """Return the part as `_blended` reads it; an ellipsoid has no end, and its radii in that place."""
+    def to_row(self) -> list[float]:
+        """Return the part as a row for `_blend_parts`; an ellipsoid has its radii in place of an end."""
         return [*self.start, *(self.radii or self.end), self.start_radius, self.end_radius, self.blend]
 
 
@@ -150,10 +150,13 @@ _PARTS = [*_TRUNK, *_make_limbs(-1), *_make_limbs(1), *_TAIL]
 
 
 def make_armadillo() -> Shape:
-    """Return an upright animal with ears, arms, feet and a tail that faces -y; 285 nodes, 787 tetrahedra."""
+    """Return an upright animal that faces -y, with ears, arms, feet and a tail; 285 nodes, 787 tetrahedra."""
     snout, tail = _PARTS[3], _PARTS[-1]
     ends = [
-        part.tip() for side in (-1, 1) for limbs in (_make_limbs(side),) for part in (limbs[i] for i in (0, 2, 5, 4))
+        part.find_tip()
+        for side in (-1, 1)
+        for limbs in (_make_limbs(side),)
+        for part in (limbs[i] for i in (0, 2, 5, 4))
     ]
     return Shape(
         name="armadillo",
@@ -165,22 +168,22 @@ def make_armadillo() -> Shape:
         high=np.array([15, 18, 20.0]),
         distance=lambda p: _measure_armadillo(p)[0],
         spacing=lambda p: np.clip(_measure_armadillo(p)[1], 1.3, 4.0) ** 0.45,  # finer where the part is thin
-        features=project(lambda p: _measure_armadillo(p)[0], np.array([snout.tip(), *ends, tail.tip()])),
+        features=project(lambda p: _measure_armadillo(p)[0], np.array([snout.find_tip(), *ends, tail.find_tip()])),
     )
 
 
-_TABLE = np.array([part.row() for part in _PARTS])
+_TABLE = np.array([part.to_row() for part in _PARTS])
 _IS_ELLIPSOID = np.array([part.radii is not None for part in _PARTS])
 
 
 def _measure_armadillo(p: Floats) -> tuple[Floats, Floats]:
-    """Return the distance and the radius of the part that is nearest."""
+    """Return the distance and the radius of the nearest part."""
     return _blend_parts(np.ascontiguousarray(p), _TABLE, _IS_ELLIPSOID)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _blend_parts(points: Floats, table: Floats, is_ellipsoid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Return what `_armadillo` does; compiled, since it is asked for two points at a time very often."""
+    """Return distance and radius, as `_measure_armadillo`; compiled, as it is often called for two points only."""
     distance, radius = np.zeros(len(points)), np.zeros(len(points))
     for n in range(len(points)):
         nearest = np.inf
@@ -201,5 +204,5 @@ def _blend_parts(points: Floats, table: Floats, is_ellipsoid: NDArray[np.bool_])
                 nearest, radius[n] = value, own
             k = table[i, 8]
             h = min(max(0.5 + 0.5 * (value - distance[n]) / k, 0.0), 1.0) if i else 0.0
-            distance[n] = value * (1 - h) + distance[n] * h - k * h * (1 - h)  # as _union
+            distance[n] = value * (1 - h) + distance[n] * h - k * h * (1 - h)  # as _unite
     return distance, radius

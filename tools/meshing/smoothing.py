@@ -1,7 +1,7 @@
-"""Nodes moved for better tetrahedra while the surface stays on the shape: L-BFGS on one smooth objective.
+"""Moves nodes for better tetrahedra and keeps the surface on the shape: L-BFGS on one smooth objective.
 
-Quality here is q = 6 sqrt(2) V / rms(edge)^3, 1 for a regular tetrahedron and smooth in the nodes; the figures that are
-reported elsewhere are 3 inradius / circumradius.
+Quality is q = 6 sqrt(2) V / rms(edge)^3 here, 1 for a regular tetrahedron and smooth in the nodes; elsewhere it is
+3 inradius / circumradius.
 """
 
 import numpy as np
@@ -12,12 +12,12 @@ from tools.meshing.shapes import Floats, Ints, Shape, compute_gradient
 
 C = 6 * np.sqrt(2)
 _PAIRS = [(i, j) for i in range(4) for j in range(i)]
-_LEAST = 1e-3  # quality below which a mesh of good cells is not let
-_SOFT = 0.02  # with worse cells in it, quality is smoothed over this width, so that they can be mended
+_LEAST = 1e-3  # lower bound of the quality in a mesh of good cells
+_SOFT = 0.02  # in a mesh with worse cells quality is smoothed over this width, so that they can improve
 
 
 def compute_cell_quality(points: Floats, cells: Ints) -> Floats:
-    """Return q (e,); negative where inverted."""
+    """Return q (e,), negative for inverted cells."""
     e = points[cells]
     volume = np.einsum("ij,ij->i", np.cross(e[:, 1] - e[:, 0], e[:, 2] - e[:, 0]), e[:, 3] - e[:, 0]) / 6
     mean_square = sum(((e[:, i] - e[:, j]) ** 2).sum(1) for i, j in _PAIRS) / 6
@@ -25,7 +25,7 @@ def compute_cell_quality(points: Floats, cells: Ints) -> Floats:
 
 
 def list_surface_faces(cells: Ints) -> Ints:
-    """Return the faces of one cell only (f, 3), outward."""
+    """Return the faces that belong to one cell only (f, 3), oriented outward."""
     faces = cells[:, OUTWARD].reshape(-1, 3)
     _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
     if count.max() > 2:
@@ -34,18 +34,18 @@ def list_surface_faces(cells: Ints) -> Ints:
 
 
 def smooth_points(shape: Shape, points: Floats, cells: Ints, *, iterations: int, fit: float = 60.0) -> Floats:
-    """Return the points after L-BFGS, or as they were where that made the worst cell worse; fit holds the surface."""
+    """Return the points after L-BFGS, or unchanged if the worst cell got worse; `fit` weighs the surface."""
     before = compute_cell_quality(points, cells).min()
     objective = _Objective(shape, points, cells, fit, soft=0.0 if before > _SOFT else _SOFT)
     result = minimize(
         objective, points.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": iterations, "maxcor": 20}
     )
-    found = np.asarray(result.x, dtype=np.float64).reshape(-1, 3)
-    return found if compute_cell_quality(found, cells).min() >= min(1e-4, before) else points
+    moved = np.asarray(result.x, dtype=np.float64).reshape(-1, 3)
+    return moved if compute_cell_quality(moved, cells).min() >= min(1e-4, before) else points
 
 
 class _Objective:
-    """sum q^-2 plus squared distances of surface nodes, middles of surface edges and features to where they belong."""
+    """sum q^-2 plus squared distances of surface nodes, middles of surface edges and features from their places."""
 
     def __init__(self, shape: Shape, points: Floats, cells: Ints, fit: float, *, soft: float) -> None:
         self.shape, self.cells, self.soft = shape, cells, soft
@@ -82,7 +82,7 @@ class _Objective:
         bc = np.cross(b, c)
         V = (a * bc).sum(1) / 6
         D = e - e.mean(1, keepdims=True)
-        R = 4 * (D**2).sum((1, 2)) / 6  # the mean squared edge, from the distances to the centre
+        R = 4 * (D**2).sum((1, 2)) / 6  # the mean squared edge, from the distances to the center
         q = C * V / R**1.5
         if self.soft:
             root = np.sqrt(q * q + self.soft * self.soft * 4)
@@ -100,7 +100,7 @@ class _Objective:
         return float((chi**-2.0).sum())
 
     def _fit(self, points: Floats, slope: Floats) -> tuple[float, float, float]:
-        """Return what surface nodes, middles of edges and features are off by, and add the gradient to slope."""
+        """Return the terms of surface nodes, middles of edges and features, and add their gradient to slope."""
         distance = self.shape.distance
         on, w = points[self.surface], self.surface_weight
         f, g = distance(on), compute_gradient(distance, on)

@@ -1,8 +1,8 @@
-"""Which nodes make a tetrahedron: local changes that mend cells or change their number.
+"""The nodes of each tetrahedron: local moves that improve cells or change their number.
 
-Moves: an edge and its 3 to 7 cells replaced by the best triangulation of the ring around it (in the inside and on the
-surface); a face replaced by the edge through it (2 cells to 3); a cell peeled off the surface, or added onto it.
-A move costs the change of sum q^-2, and on the surface what it moves away from the shape.
+Moves: an edge and its 3 to 7 cells replaced by the best triangulation of the ring around it (inside and on the
+surface); a face replaced by the edge through it (2 cells to 3); a cell peeled off the surface, or added to it.
+The cost of a move is the change of sum q^-2, and on the surface that of its distance from the shape.
 """
 
 from collections import defaultdict
@@ -14,19 +14,19 @@ import numpy as np
 from numba import njit
 
 from tools.meshing.shapes import Floats, Ints, Shape
-from tools.meshing.smooth import smooth_points
+from tools.meshing.smoothing import smooth_points
 
 Tet = tuple[int, ...]
 Key = tuple[int, ...]
 _LEAST = 0.003  # no move makes a cell of lower quality
-_LEAST_ADDED = 0.02
-_SURFACE = 120.0  # price of distance to the shape, over edge length, squared
+_LEAST_ADDED = 0.02  # nor adds one of lower quality to the surface
+_SURFACE = 120.0  # price of the squared distance to the shape over edge length
 _LONGEST_RING = 7  # 42 triangulations; longer ones are rare and slow
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _compute_quality(X: Floats, a: int, b: int, c: int, d: int) -> float:  # pragma: no cover - compiled
-    """Return 6 sqrt(2) V / rms(edge)^3 of one cell, as smooth.cell_quality."""
+    """Return 6 sqrt(2) V / rms(edge)^3 of one cell, as smoothing.compute_cell_quality."""
     s = 0.0
     u = np.empty((4, 3))
     for i in range(3):
@@ -48,7 +48,7 @@ def _compute_quality(X: Floats, a: int, b: int, c: int, d: int) -> float:  # pra
 
 
 def _compute_badness(quality: float) -> float:
-    """Return q^-2, continued by a steep line below 1e-3 so that an inverted cell has a price too."""
+    """Return q^-2, continued by a steep line below 1e-3, so that an inverted cell has a price too."""
     return 1e6 - 1e6 * quality if quality <= 1e-3 else quality**-2
 
 
@@ -73,7 +73,7 @@ _TRIANGULATIONS = {n: _list_triangulations(n) for n in range(3, _LONGEST_RING + 
 
 @dataclass(frozen=True)
 class Move:
-    """Cells to take out (by number) and to put in, the price and what proposed it."""
+    """Cells to remove (by number) and to add, the price, and the kind and place of the proposal."""
 
     cost: float
     old: Sequence[int]
@@ -92,7 +92,7 @@ def _make_key(*nodes: int) -> Key:
 
 
 class Complex:
-    """Tetrahedra by number with the cells at each edge and face; the sets' order is part of what makes runs equal."""
+    """Tetrahedra by number, with the cells at each edge and face. Results depend on the order of these sets."""
 
     def __init__(self, shape: Shape, points: Floats, cells: Ints) -> None:
         self.shape, self.points = shape, points.copy()
@@ -106,16 +106,16 @@ class Complex:
 
     @property
     def cells(self) -> Ints:
-        """Return the cells (e, 4) in the order in which they were made."""
+        """Return the cells (e, 4) in the order of their creation."""
         return np.array([self.tets[i] for i in sorted(self.tets)], dtype=np.int64)
 
-    def _of(self, nodes: Tet) -> float:
+    def _measure(self, nodes: Tet) -> float:
         return float(_compute_quality(self.points, *nodes))
 
     def _add(self, tet: Tet) -> None:
         number = self._next
         self._next += 1
-        self.tets[number], self.quality[number] = tet, self._of(tet)
+        self.tets[number], self.quality[number] = tet, self._measure(tet)
         for edge in combinations(sorted(tet), 2):
             self.at_edge[edge].add(number)
         for face in combinations(sorted(tet), 3):
@@ -131,22 +131,22 @@ class Complex:
                     del table[part]
 
     def smooth(self, iterations: int, fit: float = 60.0) -> None:
-        """Move the nodes, as smooth.smoothed says."""
+        """Move the nodes by smoothing.smooth_points."""
         self.points = smooth_points(self.shape, self.points, self.cells, iterations=iterations, fit=fit)
         for number, tet in self.tets.items():
-            self.quality[number] = self._of(tet)
+            self.quality[number] = self._measure(tet)
 
-    # What the moves ask
+    # Queries
 
-    def _on_surface(self, *face: int) -> bool:
+    def _is_on_surface(self, *face: int) -> bool:
         return len(self.at_face.get(_make_key(*face), ())) == 1
 
-    def _around(self, edge: Key) -> set[int]:
-        """Return the nodes that share a cell with an edge, less its own."""
+    def _list_neighbors(self, edge: Key) -> set[int]:
+        """Return the nodes that share a cell with an edge, without its own."""
         return {node for i in self.at_edge.get(_make_key(*edge), ()) for node in self.tets[i]} - set(edge)
 
-    def _surface_cost(self, old: Key, new: Key) -> float:
-        """Return the price of an edge of the surface flipped: how far its middle moves off the shape."""
+    def _compute_surface_cost(self, old: Key, new: Key) -> float:
+        """Return the price of flipping an edge of the surface: the distance that its middle moves off the shape."""
         X = self.points
         length = np.linalg.norm(X[old[0]] - X[old[1]])
         middles = np.array([(X[old[0]] + X[old[1]]) / 2, (X[new[0]] + X[new[1]]) / 2])
@@ -155,8 +155,8 @@ class Complex:
 
     # The moves
 
-    def moves(self) -> Iterator[Move]:
-        """Yield every move that is possible."""
+    def list_moves(self) -> Iterator[Move]:
+        """Yield every possible move."""
         for edge in list(self.at_edge):
             for kind in ("edge", "add"):
                 move = self.propose(kind, edge)
@@ -169,7 +169,7 @@ class Complex:
 
     def propose(self, kind: str, where: Key) -> Move | None:
         """Return the best move of a kind at an edge or a face, or None."""
-        return {"edge": self._edge_move, "add": self._add_move, "face": self._face_move}[kind](where)
+        return {"edge": self._propose_edge, "add": self._propose_addition, "face": self._propose_face}[kind](where)
 
     def apply(self, move: Move) -> bool:
         """Make a move and return True, unless its surroundings have changed since it was proposed."""
@@ -182,8 +182,8 @@ class Complex:
             self._add(tet)
         return True
 
-    def _ring(self, edge: Key) -> tuple[list[int], bool] | None:
-        """Return the nodes around an edge in turn, and whether they close; None where they are no single fan."""
+    def _find_ring(self, edge: Key) -> tuple[list[int], bool] | None:
+        """Return the nodes around an edge in order, and whether the ring is closed; None if they are not one fan."""
         numbers = self.at_edge.get(edge)
         if not numbers or len(numbers) > _LONGEST_RING:
             return None
@@ -209,36 +209,36 @@ class Complex:
             return None
         return ring, closed
 
-    def _edge_move(self, edge: Key) -> Move | None:
-        around = self._ring(edge)
+    def _propose_edge(self, edge: Key) -> Move | None:
+        around = self._find_ring(edge)
         if around is None:
             return None
         ring, closed = around
         old = list(self.at_edge[edge])
         before = sum(_compute_badness(self.quality[i]) for i in old)
         if closed:
-            return self._retriangulated(edge, ring, old, before, extra=0.0, closed=True)
+            return self._propose_triangulation(edge, ring, old, before, extra=0.0, closed=True)
         ends = (ring[0], ring[-1])
         if len(ring) == 2:
-            return self._peeled(edge, ends, old, before)
+            return self._propose_peeling(edge, ends, old, before)
         if _make_key(*ends) in self.at_edge:
             return None
-        extra = self._surface_cost(edge, ends)
-        return self._retriangulated(edge, ring, old, before, extra=extra, closed=False)
+        extra = self._compute_surface_cost(edge, ends)
+        return self._propose_triangulation(edge, ring, old, before, extra=extra, closed=False)
 
-    def _peeled(self, edge: Key, ends: Key, old: list[int], before: float) -> Move | None:
-        """Return the move that takes a single cell off the surface, whose other edge must be inside."""
+    def _propose_peeling(self, edge: Key, ends: Key, old: list[int], before: float) -> Move | None:
+        """Return the move that peels a single cell off the surface; its opposite edge must be inside."""
         a, b = edge
-        if any(self._on_surface(*ends, node) for node in self._around(ends)):
+        if any(self._is_on_surface(*ends, node) for node in self._list_neighbors(ends)):
             return None
-        if self._on_surface(a, *ends) or self._on_surface(b, *ends):
+        if self._is_on_surface(a, *ends) or self._is_on_surface(b, *ends):
             return None
-        return Move(self._surface_cost(edge, ends) - before, old, [], "edge", edge)
+        return Move(self._compute_surface_cost(edge, ends) - before, old, [], "edge", edge)
 
-    def _retriangulated(
+    def _propose_triangulation(
         self, edge: Key, ring: list[int], old: list[int], before: float, *, extra: float, closed: bool
     ) -> Move | None:
-        """Return the cheapest way to fill the ring with triangles, each seen from both ends of the edge."""
+        """Return the cheapest triangulation of the ring, each triangle joined to both ends of the edge."""
         a, b = edge
         best: Move | None = None
         for triangles in _TRIANGULATIONS.get(len(ring), ()):
@@ -247,17 +247,17 @@ class Complex:
                 p, q, r = ring[i], ring[j], ring[k]
                 new += [(p, q, r, b), (p, r, q, a)]
             for tet in new:
-                quality = self._of(tet)
+                quality = self._measure(tet)
                 if quality <= _LEAST:
                     break
                 cost += _compute_badness(quality)
             else:
-                if (best is None or cost - before < best.cost) and not self._crossed(ring, triangles, closed):
+                if (best is None or cost - before < best.cost) and not self._has_crossing(ring, triangles, closed):
                     best = Move(cost - before, old, new, "edge", edge)
         return best
 
-    def _crossed(self, ring: list[int], triangles: tuple[tuple[int, int, int], ...], closed: bool) -> bool:
-        """Return whether a new diagonal is an edge of the mesh already."""
+    def _has_crossing(self, ring: list[int], triangles: tuple[tuple[int, int, int], ...], closed: bool) -> bool:
+        """Return whether a new diagonal is already an edge of the mesh."""
         n = len(ring)
         for i, j, k in triangles:
             for x, y in ((i, j), (j, k), (i, k)):
@@ -268,7 +268,7 @@ class Complex:
                     return True
         return False
 
-    def _face_move(self, face: Key) -> Move | None:
+    def _propose_face(self, face: Key) -> Move | None:
         numbers = list(self.at_face.get(face, ()))
         if len(numbers) != 2:
             return None
@@ -276,33 +276,33 @@ class Complex:
         if _make_key(above, below) in self.at_edge:
             return None
         a, b, c = face
-        if self._of((a, b, c, above)) < 0:
+        if self._measure((a, b, c, above)) < 0:
             a, b = b, a
         new = [(a, b, below, above), (b, c, below, above), (c, a, below, above)]
         cost = -sum(_compute_badness(self.quality[i]) for i in numbers)
         for tet in new:
-            quality = self._of(tet)
+            quality = self._measure(tet)
             if quality <= _LEAST:
                 return None
             cost += _compute_badness(quality)
         return Move(cost, numbers, new, "face", face)
 
-    def _add_move(self, edge: Key) -> Move | None:
+    def _propose_addition(self, edge: Key) -> Move | None:
         """Return the move that fills the notch at a concave edge of the surface with a cell."""
         a, b = edge
-        wings = [node for node in sorted(self._around(edge)) if self._on_surface(a, b, node)]
+        wings = [node for node in sorted(self._list_neighbors(edge)) if self._is_on_surface(a, b, node)]
         if len(wings) != 2 or _make_key(*wings) in self.at_edge:
             return None
         c, d = wings
-        tet = (a, b, c, d) if self._of((a, b, c, d)) >= 0 else (b, a, c, d)
-        quality = self._of(tet)
+        tet = (a, b, c, d) if self._measure((a, b, c, d)) >= 0 else (b, a, c, d)
+        quality = self._measure(tet)
         if quality < _LEAST_ADDED:
             return None
-        inner = [next(n for n in self._behind(a, b, wing) if n not in (a, b, wing)) for wing in wings]
-        # the new cell must lie outside of the two cells on which it sits
-        if self._of((tet[0], tet[1], c, inner[0])) > 0 or self._of((tet[0], tet[1], inner[1], d)) > 0:
+        inner = [next(n for n in self._find_cell(a, b, wing) if n not in (a, b, wing)) for wing in wings]
+        # the new cell must not overlap the two cells below it
+        if self._measure((tet[0], tet[1], c, inner[0])) > 0 or self._measure((tet[0], tet[1], inner[1], d)) > 0:
             return None
-        return Move(_compute_badness(quality) + self._surface_cost(edge, (c, d)), [], [tet], "add", edge)
+        return Move(_compute_badness(quality) + self._compute_surface_cost(edge, (c, d)), [], [tet], "add", edge)
 
-    def _behind(self, *face: int) -> Tet:
+    def _find_cell(self, *face: int) -> Tet:
         return self.tets[next(iter(self.at_face[_make_key(*face)]))]

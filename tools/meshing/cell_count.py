@@ -1,15 +1,16 @@
-"""The exact number of cells: reconnection and smoothing by turns, with a price on the count until it is met."""
+"""The exact number of cells: reconnection and smoothing in turn, with a price on cells until the number is right."""
 
-from tools.meshing.reconnect import Complex, Move
+from tools.meshing.reconnection import Complex, Move
 from tools.meshing.shapes import Floats, Ints, Shape
 
 _ROUNDS = 5
-_FIRST_PRICED = 3  # the rounds before mend the worst cells only
-_FITS = (60.0, 150.0, 300.0, 300.0)  # the surface is drawn to the shape in steps
+_FIRST_PRICED = 3  # earlier rounds only improve the worst cells
+_FITS = (60.0, 150.0, 300.0, 300.0)  # weights of the surface's distance to the shape, in steps
+# the other numbers here were tried until both shapes came out: they change the mesh, not its validity
 
 
-def improve(shape: Shape, points: Floats, cells: Ints) -> tuple[Floats, Ints]:
-    """Return points and cells of good quality, shape.cells of them where that can be met."""
+def improve_cells(shape: Shape, points: Floats, cells: Ints) -> tuple[Floats, Ints]:
+    """Return points and cells of good quality, shape.cells of them if possible."""
     mesh = Complex(shape, points, cells)
     price = 0.0
     mesh.smooth(40)
@@ -26,13 +27,13 @@ def improve(shape: Shape, points: Floats, cells: Ints) -> tuple[Floats, Ints]:
 
 
 def _reconnect(mesh: Complex, *, passes: int, price: float = 0.0, same_count: bool = False) -> None:
-    """Make the moves that gain something, best first, each pass over cells that no other of its moves has touched."""
+    """Make the moves with a gain, best first; in a pass each move changes cells that no other one has changed."""
 
     def cost(move: Move) -> float:
         return move.cost + price * move.gain
 
     for _ in range(passes):
-        moves = [m for m in mesh.moves() if cost(m) < -1e-3 and (not same_count or m.gain == 0)]
+        moves = [m for m in mesh.list_moves() if cost(m) < -1e-3 and (not same_count or m.gain == 0)]
         touched: set[int] = set()
         made = 0
         for move in sorted(moves, key=cost):
@@ -49,17 +50,17 @@ def _reconnect(mesh: Complex, *, passes: int, price: float = 0.0, same_count: bo
 
 
 def _leaves_unused_node(mesh: Complex, move: Move) -> bool:
-    """Return whether a peeled cell is the last of one of its nodes."""
+    """Return whether a move peels off the last cell of one of its nodes."""
     if move.new:
         return False
     return any(sum(node in tet for tet in mesh.tets.values()) <= 1 for node in mesh.tets[move.old[0]])
 
 
 def _meet_count(mesh: Complex) -> None:
-    """Make the cheapest moves that bring the number of cells nearer to the shape's, one at a time."""
+    """Make the cheapest moves toward the shape's number of cells, one at a time."""
     for turn in range(200):
         excess = len(mesh.tets) - mesh.shape.cells
-        moves = [m for m in mesh.moves() if m.gain * excess < 0 and abs(m.gain) <= abs(excess)]
+        moves = [m for m in mesh.list_moves() if m.gain * excess < 0 and abs(m.gain) <= abs(excess)]
         moves = [m for m in moves if not _leaves_unused_node(mesh, m)]
         if not excess or not moves:
             break
