@@ -1,4 +1,4 @@
-"""From a case to its result folder: every variant is solved and recorded, then all are compared and drawn."""
+"""From a case to its result folder: solves and records every variant, then compares and draws all."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -83,10 +83,7 @@ def run_case(
             if _must_solve(variant, problems[name], folder / name, force=force, resume=resume)
         ]
         check_disk_space(folder, {name: (problems[name], resolved[name].output) for name in todo})
-        redraw = _is_movie_changed(case, folder)
-        for name in MOVIE_FILES if redraw else ():  # before case.toml changes: no outdated movie is left
-            (folder / name).unlink(missing_ok=True)
-        write_whole(folder / "case.toml", case.to_toml(folder))
+        redraw = _replace_case(case, folder)
         results = []
         for name, variant in resolved.items():
             if name in todo:
@@ -97,18 +94,23 @@ def run_case(
             else:
                 results.append(VariantResult(name, folder / name, "up to date", read_run(folder / name)))
             if interrupt.requested:
-                raise Interrupted(f"interrupted after {name}; the same command with --resume continues from there")
+                raise Interrupted(name)
         notes = [note for result in results for note in result.run.get("notes", ())]
         files, more = compare_variants(case, folder, movie=movie, on_drawing=on_drawing, rewrite=bool(todo) or redraw)
     return CaseResult(folder, tuple(results), tuple(files), tuple(dict.fromkeys([*notes, *more])))
 
 
-def _is_movie_changed(case: Case, folder: Path) -> bool:
-    """Return whether the pictures in the folder were made with another [movie] table; its title is on the plots too."""
+def _replace_case(case: Case, folder: Path) -> bool:
+    """Write case.toml; return whether the [movie] table, whose title all pictures show, has changed."""
+    path = folder / "case.toml"
     try:
-        return load_case(folder / "case.toml").movie != case.movie
+        redraw = load_case(path).movie != case.movie
     except CaseError:  # missing or unreadable
-        return True
+        redraw = True
+    for name in MOVIE_FILES if redraw else ():  # before case.toml changes: no outdated movie is left
+        (folder / name).unlink(missing_ok=True)
+    write_whole(path, case.to_toml(folder))
+    return redraw
 
 
 def _must_solve(case: Case, problem: Problem, folder: Path, *, force: bool, resume: bool) -> bool:
@@ -122,7 +124,7 @@ def _must_solve(case: Case, problem: Problem, folder: Path, *, force: bool, resu
     if run["status"] not in UNFINISHED:
         return bool(run["status"] != "finished" or run["versions"]["pipeline"] != VERSION)
     if not resume:
-        raise CaseError(f"{folder}: an unfinished run of this case; --resume continues it, --force starts again")
+        raise CaseError(f"{folder}: holds an unfinished run of this case; --resume continues it, --force starts again")
     changes = describe_difference(
         {"pipeline": run["versions"]["pipeline"], "mesh": run.get("mesh_digest")},
         {"pipeline": VERSION, "mesh": digest_mesh(problem.body.mesh)},

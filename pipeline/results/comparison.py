@@ -155,5 +155,7 @@ def redraw_movie(folder: str | os.PathLike[str], *, on_drawing: Callable[[int, i
     runs = find_runs(case, folder)
     shown = [name for name in case.movie.variants if name in runs]
     if not shown:
-        raise OutputError(f"{folder}: none of {join_names(case.movie.variants)} has a frame of this case")
+        raise OutputError(
+            f"{folder}: none of {join_names(case.movie.variants)} has a frame of this case; pipeline run solves them"
+        )
     return draw_movie(case, folder, shown, on_drawing=on_drawing)

@@ -1,4 +1,4 @@
-"""An end on request: SIGINT and SIGTERM let the current step finish."""
+"""Interruptions on request: SIGINT and SIGTERM let the current step finish."""
 
 import signal
 import threading
@@ -9,7 +9,10 @@ from typing import Any
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run stopped after a step, as the user requested; the message says how to continue."""
+    """A run stopped at the user's request; the message says where, and how to continue."""
+
+    def __init__(self, place: str) -> None:
+        super().__init__(f"interrupted after {place}; the same command with --resume continues from there")
 
 
 @dataclass

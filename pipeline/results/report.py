@@ -67,8 +67,9 @@ def _explain_absence(case: Case, folder: Path, name: str) -> str:
     return f"its folder has the result of another case ({changes})"
 
 
-def is_report_current(folder: Path) -> bool:
+def is_report_current(folder: str | os.PathLike[str]) -> bool:
     """Return whether a folder has a report.html that is newer than the files it was made from."""
+    folder = Path(folder)
     page = folder / REPORT
     if not page.is_file():
         return False

@@ -55,9 +55,9 @@ class VariantResult:
         return f"<VariantResult {self.name}: {self.status}, in {self.folder}>"
 
 
-def read_run(folder: Path) -> dict[str, Any]:
+def read_run(folder: str | os.PathLike[str]) -> dict[str, Any]:
     """Return a variant's run.json, {} if there is none; raises OutputError if it cannot be read."""
-    path = folder / "run.json"
+    path = Path(folder) / "run.json"
     try:
         run = json.loads(path.read_text())
     except FileNotFoundError:
@@ -199,10 +199,7 @@ class VariantRun:
             if self.summary is not None:
                 self.checkpoints.write(Checkpoint(state, effort, self.summary))
         if self.interrupt.requested:
-            raise Interrupted(
-                f"interrupted after step {state.step} of {self.name}; "
-                "the same command with --resume continues from there"
-            )
+            raise Interrupted(f"step {state.step} of {self.name}")
 
     def _close(self, run: dict[str, Any], status: str) -> dict[str, Any]:
         """Write the run.json of a run that ended and return it."""

@@ -1,4 +1,4 @@
-"""The command line: one line and the right exit code for every error, and nothing where nothing was asked for."""
+"""The command line: every error is one line with its exit code; --quiet prints nothing."""
 
 import json
 import re
@@ -43,7 +43,7 @@ def run(*arguments: str) -> int:
     return main(["run", *arguments, "--no-movie"])
 
 
-# Errors of the case file: sections -> what follows "CaseError: beam.toml: "
+# Errors of the case file: sections, and the text after "CaseError: beam.toml: "
 
 MATERIAL = {"youngs_modulus": 1e7, "poisson_ratio": 0.3, "density": 1000.0}
 SCHEDULE = {"dt": 0.02, "frames": 4}
@@ -99,7 +99,7 @@ TOO_LONG = {
 
 
 @pytest.mark.parametrize("name", TOO_LONG)
-def test_what_is_quoted_stays_short(tmp_path, capfd, name):
+def test_long_quoted_values_are_shortened(tmp_path, capfd, name):
     write_case(tmp_path, **TOO_LONG[name])
     assert run("beam.toml") == 2
     error = capfd.readouterr().err
@@ -111,7 +111,7 @@ def test_what_is_quoted_stays_short(tmp_path, capfd, name):
     ["\u200b" * 57, "\u200b" * 10, "a" * 59 + "\x1b", "a" * 60 + "\x1b", "\U000e0001" * 10**6],
     ids=["many", "few", "last", "beyond", "million"],
 )
-def test_what_is_escaped_stays_short_too(text):
+def test_long_escaped_values_are_shortened(text):
     quoted = shorten(text)
     assert quoted.isprintable() and len(quoted) == 60
     assert len(shorten(text, 200)) <= 200
@@ -128,7 +128,7 @@ def test_what_is_escaped_stays_short_too(text):
     ],
     ids=["slice", "method", "cells", "frame", "time"],
 )
-def test_so_does_what_other_verbs_quote(case, tmp_path, capfd, arguments):
+def test_other_verbs_shorten_quoted_values(case, tmp_path, capfd, arguments):
     index = '<VTKFile><Collection><DataSet timestep="{}" file="{}.vtu"/></Collection></VTKFile>'
     (tmp_path / "their.pvd").write_text(index.format("0", LONG))
     (tmp_path / "other.pvd").write_text(index.format("a" + LONG, "its"))
@@ -172,7 +172,7 @@ def test_junk_in_a_case_file_names_the_line(tmp_path, capfd):
 
 
 @pytest.mark.parametrize("arguments", [[], ["fly"], ["run"], ["run", "a.toml", "--fast"], ["run", "a", "--steps", "x"]])
-def test_wrong_usage_exits_with_two_and_shows_how(capfd, arguments):
+def test_wrong_usage_exits_with_two_and_shows_the_usage(capfd, arguments):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
     assert caught.value.code == 2 and "usage: pipeline" in capfd.readouterr().err
@@ -186,7 +186,7 @@ def test_debug_shows_where_an_error_comes_from(case):
 # Runs
 
 
-def test_a_run_says_what_came_out_and_where(case, capfd):
+def test_a_run_prints_its_results_and_their_folder(case, capfd):
     assert run(case) == 0
     lines = capfd.readouterr().out.splitlines()
     for line, name in zip(lines, ("linear", "gram_schmidt", "polar"), strict=False):
@@ -208,26 +208,26 @@ def test_quiet_prints_nothing(case, capfd):
 
 
 @pytest.mark.parametrize("also", [[], ["--quiet"], ["-v"]])
-def test_json_is_all_that_is_printed(case, capfd, also):
+def test_json_prints_only_json(case, capfd, also):
     assert run(case, "--json", *also) == 0
     out, err = capfd.readouterr()
     summary = json.loads(out)
     assert err == "" or also == ["-v"]
     assert summary["folder"] == "outputs/beam" and summary["variants"].keys() == {"linear", "gram_schmidt", "polar"}
-    for name, one in summary["variants"].items():
-        assert one["status"] == "finished" and one["frames"] == 5
-        assert one == json.loads(Path("outputs/beam", name, "run.json").read_text())
+    for name, record in summary["variants"].items():
+        assert record["status"] == "finished" and record["frames"] == 5
+        assert record == json.loads(Path("outputs/beam", name, "run.json").read_text())
     assert run(case, "--json") == 0
-    assert {one["status"] for one in json.loads(capfd.readouterr().out)["variants"].values()} == {"up to date"}
+    assert {record["status"] for record in json.loads(capfd.readouterr().out)["variants"].values()} == {"up to date"}
 
 
 def test_steps_set_variant_and_out(case, capfd):
     arguments = ["--steps", "2", "--set", "schedule.dt=0.01", "--set", "initial.velocity=[0, 0, -5]"]
     assert run(case, *arguments, "--set", "method.mass=lumped", "--variant", "linear", "--out", "here") == 0
     assert sorted(path.name for path in Path("here/beam").iterdir() if path.is_dir()) == ["linear"]
-    one = json.loads(Path("here/beam/linear/run.json").read_text())
-    assert one["last_frame"] == {"index": 2, "step": 2, "time": 0.02}
-    assert one["case"]["method"]["mass"] == "lumped" and one["case"]["initial"]["velocity"] == [0.0, 0.0, -5.0]
+    record = json.loads(Path("here/beam/linear/run.json").read_text())
+    assert record["last_frame"] == {"index": 2, "step": 2, "time": 0.02}
+    assert record["case"]["method"]["mass"] == "lumped" and record["case"]["initial"]["velocity"] == [0.0, 0.0, -5.0]
     assert not Path("outputs").exists()
 
 
@@ -240,30 +240,30 @@ def test_another_case_is_refused_with_the_difference_and_forced(case, capfd):
     assert run(*changed, "--force") == 0
 
 
-def test_the_bar_says_what_is_done_before_the_first_frame_and_which_model_a_step_needed(case):
-    said = []
+def test_the_bar_shows_the_set_up_and_the_model_that_a_step_needed(case):
+    texts = []
 
     class Display:
         start = staticmethod(lambda: None)
         add_task = staticmethod(lambda name, *, total, text: 0)
-        update = staticmethod(lambda task, *, completed, total, text: said.append(text))
+        update = staticmethod(lambda task, *, completed, total, text: texts.append(text))
 
     bars = Bars(Display())
     auto = load_case(case, overrides={"method.model": "auto"})
     run_case(auto, Path("bars"), variants=["polar"], movie=False, notify=bars.show_frame, on_start=bars.show_start)
-    assert said[0].startswith("setting up")
-    assert len(said) == 2 + auto.schedule.frames and said[-1].split()[-1] in ("linear", "corotational")
+    assert texts[0].startswith("setting up")
+    assert len(texts) == 2 + auto.schedule.frames and texts[-1].split()[-1] in ("linear", "corotational")
 
 
 def test_a_failed_variant_is_one_line_and_exit_code_three(case, capfd, monkeypatch):
     genuine = BackwardEuler.step
 
-    def failing(self, state):
+    def fail(self, state):
         if state.step == 2 and not self.body.law.constant_tangent:
             raise SolveError("it broke")
         return genuine(self, state)
 
-    monkeypatch.setattr(BackwardEuler, "step", failing)
+    monkeypatch.setattr(BackwardEuler, "step", fail)
     assert run(case, "--quiet") == 3
     out, err = capfd.readouterr()
     assert out == ""
@@ -273,10 +273,10 @@ def test_a_failed_variant_is_one_line_and_exit_code_three(case, capfd, monkeypat
 
 
 def test_an_interruption_is_one_line_and_exit_code_130(case, capfd, monkeypatch):
-    def interrupted(self, state):
+    def interrupt(self, state):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(BackwardEuler, "step", interrupted)
+    monkeypatch.setattr(BackwardEuler, "step", interrupt)
     assert run(case, "--quiet") == 130
     out, err = capfd.readouterr()
     assert (out, err) == ("", "interrupted; frames written so far are complete\n")
@@ -292,7 +292,7 @@ def test_results_that_cannot_be_written_are_one_line_and_exit_code_four(case, ca
 # The other verbs
 
 
-def test_check_tells_what_can_be_known_before_solving(capfd):
+def test_check_prints_sizes_frequency_and_damping(capfd):
     assert main(["check", str(ROOT / "cases" / "bar.toml"), "--variant", "linear"]) == 0
     text = capfd.readouterr().out
     # of the thesis bar: 10.42 rad/s at dt = .07 s is z = .73 and 32 % of damping
@@ -302,7 +302,7 @@ def test_check_tells_what_can_be_known_before_solving(capfd):
         assert words in text, words
 
 
-def test_check_tells_what_is_the_same_of_variants_once(case, tmp_path, capfd):
+def test_check_prints_equal_variants_once(case, tmp_path, capfd):
     own = {"method.stepper": "bdf2"}
     write_case(tmp_path, variants={"linear": {"method.law": "linear"}, "bdf2": own, "polar": {}})
     assert main(["check", case]) == 0
@@ -310,18 +310,18 @@ def test_check_tells_what_is_the_same_of_variants_once(case, tmp_path, capfd):
     assert names == ["linear, polar", "bdf2"]
 
 
-def test_check_tells_the_damping_and_the_phase_of_the_stepper(capfd):
-    def checked(stepper, dt):
+def test_check_has_the_damping_and_phase_lag_of_the_stepper(capfd):
+    def check(stepper, dt):
         arguments = ["check", str(ROOT / "cases" / "bar.toml"), "--variant", "linear", "--json"]
         assert main([*arguments, "--set", f"method.stepper={stepper}", "--set", f"schedule.dt={dt}"]) == 0
         return json.loads(capfd.readouterr().out)["linear"]
 
     for stepper, zeta in (("backward_euler", lambda z: z / 2), ("bdf2", lambda z: z**3 / 4)):
-        found = checked(stepper, 0.002)
-        z = found["z"]
-        assert found["damping"] == pytest.approx(zeta(z), rel=5 * z**2)  # the next term of the series
-        assert found["phase_lag"] == pytest.approx(360 * z**2 / 3, rel=2 * z**2)
-    explicit = checked("symplectic_euler", 0.002)
+        numbers = check(stepper, 0.002)
+        z = numbers["z"]
+        assert numbers["damping"] == pytest.approx(zeta(z), rel=5 * z**2)  # the next term of the series
+        assert numbers["phase_lag"] == pytest.approx(360 * z**2 / 3, rel=2 * z**2)
+    explicit = check("symplectic_euler", 0.002)
     assert explicit["damping"] is None and explicit["phase_lag"] is None
 
 
@@ -332,21 +332,21 @@ def test_check_tells_the_damping_and_the_phase_of_the_stepper(capfd):
         (0.001, ["bdf2 damps that mode by 2.83e-05 % of critical\n", "lags by 0.013 degrees a period\n"]),
     ],
 )
-def test_check_has_a_remedy_where_one_is_needed(capfd, dt, words):
+def test_check_has_a_remedy_if_one_is_needed(capfd, dt, words):
     bar = str(ROOT / "cases" / "bar.toml")
     assert (
         main(["check", bar, "--variant", "linear", "--set", "method.stepper=bdf2", "--set", f"schedule.dt={dt}"]) == 0
     )
     text = capfd.readouterr().out
-    assert all(one in text for one in words), text
+    assert all(word in text for word in words), text
 
 
 def test_check_as_json_has_numbers(case, capfd):
     assert main(["check", case, "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
-    assert found.keys() == {"linear", "gram_schmidt", "polar"}
-    assert found["polar"]["cells"] == 18 and found["polar"]["held"] == 4 and found["polar"]["mass"] == 3000.0
-    assert found["polar"]["z"] == pytest.approx(0.02 * found["polar"]["omega_1"])
+    checks = json.loads(capfd.readouterr().out)
+    assert checks.keys() == {"linear", "gram_schmidt", "polar"}
+    assert checks["polar"]["cells"] == 18 and checks["polar"]["held"] == 4 and checks["polar"]["mass"] == 3000.0
+    assert checks["polar"]["z"] == pytest.approx(0.02 * checks["polar"]["omega_1"])
 
 
 @pytest.mark.parametrize("cells", [[1, 1, 1], [1, 1]])
@@ -366,7 +366,7 @@ def test_methods_lists_every_name_of_the_tables(capfd):
 
 
 @pytest.mark.parametrize("folder", [".", "none"])
-def test_a_movie_of_what_is_no_result_is_one_line(tmp_path, capfd, folder):
+def test_a_movie_of_another_folder_is_an_error_of_one_line(tmp_path, capfd, folder):
     assert main(["movie", folder, "--quiet"]) == 2
     out, err = capfd.readouterr()
     assert (out, err.count("\n")) == ("", 1)
@@ -380,8 +380,8 @@ def test_version_is_that_of_the_package(capfd):
     assert caught.value.code == 0 and capfd.readouterr().out == f"pipeline {__version__}\n"
 
 
-def test_the_command_in_a_process_of_its_own(case, tmp_path):
-    """With the figures, and with nothing else than JSON on standard output."""
+def test_the_command_as_a_process(case, tmp_path):
+    """With figures, and only JSON on standard output."""
     command = [
         sys.executable,
         "-m",
@@ -408,7 +408,7 @@ def test_the_command_in_a_process_of_its_own(case, tmp_path):
     assert refused.stderr.endswith("schedule.dt: 0 is not positive\n")
 
 
-def test_a_series_is_measured_and_compared_from_the_command_line(tmp_path, capsys):
+def test_analyze_and_compare_on_the_command_line(tmp_path, capsys):
     out = tmp_path / "outputs"
     assert main(["run", str(write_case(tmp_path)), "--out", str(out), "--no-movie", "--quiet"]) == 0
     first, second = (str(out / "beam" / name) for name in ("linear", "polar"))
@@ -418,7 +418,7 @@ def test_a_series_is_measured_and_compared_from_the_command_line(tmp_path, capsy
     assert main(["compare", first, second, "--difference", "--out", str(tmp_path / "two"), "--quiet"]) == 0
     assert capsys.readouterr().out == ""
     assert main(["compare", first, second, "--difference", "--out", str(tmp_path / "two")]) == 0
-    said = capsys.readouterr().out.splitlines()[-1]
-    assert re.fullmatch(r"polar: nodes up to \S+ m \(node \d+, t = \S+ s\) from linear; RMS up to \S+ m", said)
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert re.fullmatch(r"polar: nodes up to \S+ m \(node \d+, t = \S+ s\) from linear; RMS up to \S+ m", line)
     assert main(["analyze", str(tmp_path / "nothing.pvd")]) == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -1,4 +1,4 @@
-"""What a run takes on the disk is known about before it starts; without room it does not start."""
+"""The disk space of a run is estimated before it starts; it does not start without enough space."""
 
 import shutil
 from types import SimpleNamespace
@@ -18,7 +18,7 @@ def _no_figures(monkeypatch):
     skip_figures(monkeypatch)
 
 
-def with_free(monkeypatch, size: float) -> None:
+def set_free_bytes(monkeypatch, size: float) -> None:
     monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: SimpleNamespace(free=size))
 
 
@@ -40,13 +40,13 @@ def test_the_estimate_is_within_a_factor_of_two(tmp_path, cells, frames, output)
         write_case(tmp_path, **sections, variants={"only": {}}, output=output, schedule={"dt": 0.01, "frames": frames})
     )
     result = run_case(case, tmp_path / "out", movie=False)
-    told = sum(disk.estimate_bytes(build(case.variant(name)), case.output) for name in case.variant_names)
-    assert told / 2 < disk._measure_folder(result.folder) < 2 * told
+    estimate = sum(disk.estimate_bytes(build(case.variant(name)), case.output) for name in case.variant_names)
+    assert estimate / 2 < disk._measure_folder(result.folder) < 2 * estimate
 
 
-def test_without_room_nothing_is_solved_and_both_numbers_are_told(tmp_path, monkeypatch, capfd):
+def test_without_room_nothing_is_solved_and_the_error_has_both_numbers(tmp_path, monkeypatch, capfd):
     path = write_case(tmp_path, schedule={"dt": 0.02, "frames": 10**9})
-    with_free(monkeypatch, 5e9)
+    set_free_bytes(monkeypatch, 5e9)
     assert main(["run", str(path), "--out", str(tmp_path / "out"), "--no-movie"]) == 4
     out, err = capfd.readouterr()
     assert out == "" and err.count("\n") == 1
@@ -54,13 +54,13 @@ def test_without_room_nothing_is_solved_and_both_numbers_are_told(tmp_path, monk
     assert [file.name for file in (tmp_path / "out").rglob("*") if file.is_file()] == []
 
 
-def test_what_is_there_already_counts(tmp_path, monkeypatch):
+def test_existing_files_count_as_free_space(tmp_path, monkeypatch):
     case = load_case(write_case(tmp_path, schedule={"dt": 0.02, "frames": 20}))
     result = run_case(case, tmp_path / "out", movie=False)
     needed = sum(disk.estimate_bytes(build(case.variant(name)), case.output) for name in case.variant_names)
-    with_free(monkeypatch, 0.7 * needed)
+    set_free_bytes(monkeypatch, 0.7 * needed)
     assert run_case(case, tmp_path / "out", movie=False, force=True).variants[0].status == "finished"
-    with_free(monkeypatch, 0.0)
+    set_free_bytes(monkeypatch, 0.0)
     assert run_case(case, tmp_path / "out", movie=False).variants[0].status == "up to date"
     shutil.rmtree(result.folder / "polar")
     assert main(["run", str(tmp_path / "beam.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 4

@@ -1,4 +1,4 @@
-"""What goes wrong from outside: kills, full disks, writers that fail. Nothing complete is lost, the rest goes on."""
+"""Faults from outside: kills, full disks, failing writers. No complete file is lost, and the run can be resumed."""
 
 import errno
 import json
@@ -39,8 +39,8 @@ def _no_figures(monkeypatch):
     skip_figures(monkeypatch)
 
 
-def written(folder: Path, *, frames: int = 12, seconds: float = 1e-9) -> Path:
-    """A case of one variant with a checkpoint every step."""
+def write_one_variant(folder: Path, *, frames: int = 12, seconds: float = 1e-9) -> Path:
+    """Write a case of one variant with a checkpoint every step."""
     schedule = {"dt": 0.002, "frames": frames}
     variants = {"only": {"method.stepper": "bdf2"}}
     return write_case(folder, schedule=schedule, output={"checkpoint_seconds": seconds}, variants=variants)
@@ -50,13 +50,13 @@ def solve(path: Path, out: Path, **keywords) -> CaseResult:
     return run_case(load_case(path), out, movie=False, **keywords)
 
 
-def command(path: Path, out: Path, *more: str) -> list[str]:
+def make_command(path: Path, out: Path, *more: str) -> list[str]:
     run = ["run", str(path), "--out", str(out), "--no-movie", "--quiet", *more]
     return [sys.executable, "-m", "pipeline.cli", *run]
 
 
-def warm_child(arguments: list[str]) -> BaseProcess:
-    """The command in a process that does not have to import all that it needs."""
+def start_warm_child(arguments: list[str]) -> BaseProcess:
+    """Start the command in a process that has its imports already."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
         ["pipeline.results.case_run", "pipeline.cli", "pipeline.fem.kernels.tetrahedron", "pyvista", "netCDF4"]
@@ -67,7 +67,7 @@ def warm_child(arguments: list[str]) -> BaseProcess:
 
 
 def assert_readable(folder: Path) -> int:
-    """Every complete frame is read by VTK, the index lists frames that are there; returns how many frames there are."""
+    """Check that VTK reads every frame and that the index lists existing frames; return the number of frames."""
     files = sorted((folder / "frames").glob("frame_*.vtu"))
     assert [file.name for file in files] == [f"frame_{i:06d}.vtu" for i in range(len(files))]
     for file in files:
@@ -82,14 +82,14 @@ def assert_readable(folder: Path) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(max(1, KILLS // 20)))
-def test_kill_9_at_random_moments_loses_one_frame_at_most_and_the_rest_goes_on(tmp_path, number):
-    """Each child goes on where the one before was killed; the last one is let finish."""
+def test_kill_9_at_random_moments_loses_at_most_one_frame_and_the_run_can_be_resumed(tmp_path, number):
+    """Each child continues from where the previous one was killed; the last one may finish."""
     kills = min(KILLS, 20)
-    path, out = written(tmp_path, frames=30 * kills), tmp_path / "parts"
+    path, out = write_one_variant(tmp_path, frames=30 * kills), tmp_path / "parts"
     folder = out / "beam" / "only"
     before, moments = 0, random.Random(number)
     for _ in range(kills):
-        child = warm_child(command(path, out, "--resume")[3:])
+        child = start_warm_child(make_command(path, out, "--resume")[3:])
         deadline = time.monotonic() + 300
         while not (folder / f"frames/frame_{before + 1:06d}.vtu").exists() and child.is_alive():
             assert time.monotonic() < deadline
@@ -100,7 +100,7 @@ def test_kill_9_at_random_moments_loses_one_frame_at_most_and_the_rest_goes_on(t
         assert child.exitcode == -signal.SIGKILL
         run = json.loads((folder / "run.json").read_text())
         assert run["status"] == "running"
-        if before:  # a checkpoint every step: what has to be solved again is the step of the last frame
+        if before:  # a checkpoint every step: at most the step of the last frame is solved again
             assert run["resumed_after_steps"][-1] >= before - 1
         before = assert_readable(folder)
     resumed = solve(path, out, resume=True).variants[0]
@@ -109,12 +109,12 @@ def test_kill_9_at_random_moments_loses_one_frame_at_most_and_the_rest_goes_on(t
 
 
 @pytest.mark.parametrize("limit", [4_000, 60_000, 120_000], ids=["frame", "dataset", "later"])
-def test_a_full_disk_is_one_line_and_the_run_goes_on_when_there_is_room(tmp_path, limit):
-    """Every file is limited, as a full disk limits what grows: frames at once, or statistics.nc after a while."""
-    path, out = written(tmp_path, frames=60), tmp_path / "parts"
+def test_a_full_disk_is_an_error_of_one_line_and_the_run_can_be_resumed(tmp_path, limit):
+    """The size of files is limited, which stops frames at once, or statistics.nc after a while."""
+    path, out = write_one_variant(tmp_path, frames=60), tmp_path / "parts"
     folder = out / "beam" / "only"
     full = subprocess.run(
-        command(path, out),
+        make_command(path, out),
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -130,17 +130,17 @@ def test_a_full_disk_is_one_line_and_the_run_goes_on_when_there_is_room(tmp_path
 
 @pytest.mark.parametrize("suffix", [".vtu", ".pvd", ".checkpoint", ".json"])
 def test_no_space_for_one_kind_of_file_corrupts_nothing(tmp_path, monkeypatch, suffix):
-    path, out = written(tmp_path), tmp_path / "parts"
+    path, out = write_one_variant(tmp_path), tmp_path / "parts"
     genuine, calls = os.replace, []
 
-    def full(source, target):
+    def fail(source, target):
         calls.extend([1] if str(target).endswith(suffix) else [])
         if str(target).endswith(suffix) and len(calls) > 1:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         genuine(source, target)
 
     with monkeypatch.context() as patch:
-        patch.setattr(atomic.os, "replace", full)
+        patch.setattr(atomic.os, "replace", fail)
         with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\)"):
             solve(path, out)
     folder = out / "beam" / "only"
@@ -152,17 +152,17 @@ def test_no_space_for_one_kind_of_file_corrupts_nothing(tmp_path, monkeypatch, s
 
 @pytest.mark.parametrize("sink", [VtuSink, NetcdfSink])
 @pytest.mark.parametrize("at", [0, 5])
-def test_a_writer_that_fails_leaves_what_can_be_gone_on_with(tmp_path, monkeypatch, sink, at):
-    path, out = written(tmp_path), tmp_path / "parts"
+def test_a_run_whose_writer_failed_can_be_resumed(tmp_path, monkeypatch, sink, at):
+    path, out = write_one_variant(tmp_path), tmp_path / "parts"
     genuine = sink.write
 
-    def failing(self, frame, measured):
+    def fail(self, frame, measured):
         if frame.index == at:
             raise OutputError(f"{frame.index}: the writer broke")
         genuine(self, frame, measured)
 
     with monkeypatch.context() as patch:
-        patch.setattr(sink, "write", failing)
+        patch.setattr(sink, "write", fail)
         with pytest.raises(OutputError, match="the writer broke"):
             solve(path, out)
     folder = out / "beam" / "only"
@@ -173,15 +173,15 @@ def test_a_writer_that_fails_leaves_what_can_be_gone_on_with(tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("harm", ["missing", "half", "empty", "junk"])
-def test_a_torn_dataset_is_made_again_from_the_frames(tmp_path, monkeypatch, harm):
-    path, out = written(tmp_path), tmp_path / "parts"
+def test_a_damaged_dataset_is_rebuilt_from_the_frames(tmp_path, monkeypatch, harm):
+    path, out = write_one_variant(tmp_path), tmp_path / "parts"
 
-    def interrupted(name, problem, frame, summary):
+    def interrupt(name, problem, frame, summary):
         if frame.index == 7:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        solve(path, out, notify=interrupted)
+        solve(path, out, notify=interrupt)
     dataset = out / "beam" / "only" / "statistics.nc"
     data = dataset.read_bytes()
     dataset.unlink()
@@ -192,18 +192,18 @@ def test_a_torn_dataset_is_made_again_from_the_frames(tmp_path, monkeypatch, har
     assert_same_results(solve(path, tmp_path / "whole").variants[0].folder, resumed.folder)
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else, and others are refused anyway")
-def test_a_folder_that_may_not_be_written_is_one_line():
-    """As nobody, in a folder of root's; a run as root comes first, as nobody may not be able to import anything."""
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+def test_a_folder_without_permission_is_an_error_of_one_line():
+    """As nobody, in a folder of root; a run as root comes first, since nobody may be unable to import modules."""
     code = (
         "import os, sys\nfrom pipeline.cli import main\n"
         "assert main([*sys.argv[1:], '--out', sys.argv[2] + '.warm']) == 0\n"
         "os.setuid(65534)\nsys.exit(main(sys.argv[1:]))"
     )
-    with tempfile.TemporaryDirectory() as name:  # the folders above tmp_path are closed to others
+    with tempfile.TemporaryDirectory() as name:  # other users cannot enter the folders above tmp_path
         folder = Path(name)
         folder.chmod(0o755)
-        arguments = command(written(folder, frames=2), folder / "out")[3:]
+        arguments = make_command(write_one_variant(folder, frames=2), folder / "out")[3:]
         refused = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True)
         assert sorted(path.name for path in folder.iterdir()) == ["beam.toml", "beam.toml.warm"]
     assert refused.returncode == 4 and refused.stderr.count("\n") == 1, refused.stderr
@@ -211,18 +211,18 @@ def test_a_folder_that_may_not_be_written_is_one_line():
 
 
 def test_the_dataset_of_an_interrupted_run_can_be_read_while_it_is_unfinished(tmp_path):
-    def interrupted(name, problem, frame, summary):
+    def interrupt(name, problem, frame, summary):
         if frame.index == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        solve(written(tmp_path), tmp_path / "out", notify=interrupted)
+        solve(write_one_variant(tmp_path), tmp_path / "out", notify=interrupt)
     with xarray.open_dataset(tmp_path / "out" / "beam" / "only" / "statistics.nc") as dataset:
         assert dataset.sizes["time"] == 4
 
 
-def test_force_does_not_break_another_run_s_lock(tmp_path, capfd):
-    path, out = written(tmp_path), tmp_path / "out"
+def test_force_respects_the_lock_of_another_run(tmp_path, capfd):
+    path, out = write_one_variant(tmp_path), tmp_path / "out"
     solve(path, out)
     before = {file: file.read_bytes() for file in out.rglob("*") if file.is_file()}
     code = "import sys\nfrom pathlib import Path\nfrom pipeline.results.lock import lock_folder\n" + (
@@ -233,8 +233,8 @@ def test_force_does_not_break_another_run_s_lock(tmp_path, capfd):
     )
     try:
         assert holder.stdout.readline() == b"held\n"
-        for way in ("--force", "--resume"):
-            assert main(["run", str(path), "--out", str(out), "--quiet", way]) == 2
+        for option in ("--force", "--resume"):
+            assert main(["run", str(path), "--out", str(out), "--quiet", option]) == 2
             assert "another run is writing there" in capfd.readouterr().err
         assert {file: file.read_bytes() for file in before} == before
     finally:
@@ -244,12 +244,12 @@ def test_force_does_not_break_another_run_s_lock(tmp_path, capfd):
 
 @pytest.mark.opengl
 @pytest.mark.parametrize("script", ["exit 3", "head -c 3000000 >/dev/null; exit 1", "sleep 0.2; kill -9 $$"])
-def test_an_encoder_that_fails_costs_the_movie_and_nothing_else(tmp_path, monkeypatch, capfd, script):
+def test_a_failing_encoder_costs_only_the_movie(tmp_path, monkeypatch, capfd, script):
     broken = tmp_path / "ffmpeg"
     broken.write_text(f"#!/bin/sh\necho 'no such codec' >&2\n{script}\n")
     broken.chmod(0o755)
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(broken))
-    path, out = written(tmp_path), tmp_path / "out"
+    path, out = write_one_variant(tmp_path), tmp_path / "out"
     assert main(["run", str(path), "--out", str(out)]) == 0
     shown = capfd.readouterr()
     assert re.search(r"note: .*comparison\.mp4: the encoder failed \(exit code .*\): no such codec", shown.out)
@@ -260,22 +260,22 @@ def test_an_encoder_that_fails_costs_the_movie_and_nothing_else(tmp_path, monkey
     assert main(["movie", str(out / "beam"), "--quiet"]) == 0 and (out / "beam" / "comparison.mp4").exists()
 
 
-def test_reproduce_goes_on_where_it_stopped(tmp_path, monkeypatch, capfd):
-    seen = []
+def test_reproduce_passes_resume_and_force_on(tmp_path, monkeypatch, capfd):
+    calls = []
 
-    def campaign(case, out, **keywords):
-        seen.append((case.name, keywords["resume"], keywords["force"]))
-        raise OutputError("far enough")
+    def stop(case, out, **keywords):
+        calls.append((case.name, keywords["resume"], keywords["force"]))
+        raise OutputError("stop here")
 
-    monkeypatch.setattr("pipeline.studies.thesis.run_case", campaign)
-    for way in ([], ["--resume"], ["--force"]):
-        assert main(["reproduce", "--cases", str(ROOT / "cases"), "--out", str(tmp_path), *way]) == 4
-    assert [one[1:] for one in seen] == [(False, False), (True, False), (False, True)]
+    monkeypatch.setattr("pipeline.studies.thesis.run_case", stop)
+    for options in ([], ["--resume"], ["--force"]):
+        assert main(["reproduce", "--cases", str(ROOT / "cases"), "--out", str(tmp_path), *options]) == 4
+    assert [call[1:] for call in calls] == [(False, False), (True, False), (False, True)]
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.99])
-def test_a_half_written_dataset_of_a_finished_variant_is_one_line(tmp_path, capfd, share):
-    path, out = written(tmp_path, frames=6), tmp_path / "out"
+def test_a_half_written_dataset_is_an_error_of_one_line(tmp_path, capfd, share):
+    path, out = write_one_variant(tmp_path, frames=6), tmp_path / "out"
     folder = solve(path, out).variants[0].folder
     data = (folder / "statistics.nc").read_bytes()
     (folder / "statistics.nc").write_bytes(data[: int(share * len(data))])
@@ -300,18 +300,18 @@ from pipeline.series import read_series
 case, out, done = load_case(sys.argv[1]), Path(sys.argv[2]), []
 {work}
 threads = [Thread(target=work, args=(name,)) for name in "abc"]
-for one in threads:
-    one.start()
-for one in threads:
-    one.join()
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
 print(done)
 """
 
 
-def on_three_threads(work: str, case: Path, out: Path) -> subprocess.CompletedProcess[str]:
-    """Run `work(name)` a thread in a process of its own, which netCDF kills where two threads enter it."""
-    asked = [sys.executable, "-c", THREADS.format(work=work), str(case), str(out)]
-    return subprocess.run(asked, capture_output=True, text=True, cwd=ROOT, timeout=300)
+def run_on_three_threads(work: str, case: Path, out: Path) -> subprocess.CompletedProcess[str]:
+    """Run `work(name)` on three threads of a new process, which netCDF kills if two threads enter it."""
+    arguments = [sys.executable, "-c", THREADS.format(work=work), str(case), str(out)]
+    return subprocess.run(arguments, capture_output=True, text=True, cwd=ROOT, timeout=300)
 
 
 SOLVED = """
@@ -322,8 +322,8 @@ def work(name):
 
 
 @pytest.mark.slow
-def test_threads_of_one_process_may_run_a_case_each(tmp_path):
-    ran = on_three_threads(SOLVED, written(tmp_path, frames=40, seconds=30), tmp_path)
+def test_threads_of_one_process_may_each_run_a_case(tmp_path):
+    ran = run_on_three_threads(SOLVED, write_one_variant(tmp_path, frames=40, seconds=30), tmp_path)
     assert (ran.returncode, ran.stdout, ran.stderr) == (0, f"{[0] * 9}\n", "")
     folders = list(tmp_path.glob("[abc]-*/*/only"))
     assert len(folders) == 9
@@ -334,12 +334,12 @@ def test_threads_of_one_process_may_run_a_case_each(tmp_path):
 
 
 INTERRUPTED = """
-def interrupting(self, state, work, writer):
+def interrupt(self, state, work, writer):
     genuine(self, state, work, writer)
     if state.step == 30:
         raise KeyboardInterrupt
 
-genuine, variant_run.VariantRun._after_step = variant_run.VariantRun._after_step, interrupting
+genuine, variant_run.VariantRun._after_step = variant_run.VariantRun._after_step, interrupt
 try:
     run_case(case, out / "base", movie=False)
 except KeyboardInterrupt:
@@ -349,28 +349,30 @@ def work(name):
     for k in range(4):
         shutil.copytree(out / "base", out / f"{name}-{k}")
         resumed = run_case(case, out / f"{name}-{k}", movie=False, resume=True)
-        twice = [read_series(resumed.variants[0].folder, name=one) for one in "ab"]
+        twice = [read_series(resumed.variants[0].folder, name=label) for label in "ab"]
         compare(twice, out / f"{name}-{k}" / "compared", difference=True)
         done.extend(resumed.variants[0].run["resumed_after_steps"])
 """
 
 
 @pytest.mark.slow
-def test_threads_may_go_on_and_compare(tmp_path):
-    """float32: the frames are put beside what statistics.nc says."""
+def test_threads_may_resume_and_compare(tmp_path):
+    """float32: the frames are compared with statistics.nc."""
     output, schedule = {"checkpoint_seconds": 1e-9, "precision": "float32"}, {"dt": 0.002, "frames": 40}
     case = write_case(tmp_path, schedule=schedule, output=output, variants={"only": {}})
-    ran = on_three_threads(INTERRUPTED, case, tmp_path)
+    ran = run_on_three_threads(INTERRUPTED, case, tmp_path)
     assert (ran.returncode, ran.stdout, ran.stderr) == (0, f"{[30] * 12}\n", "")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the names of files have no locale on Windows: NOT tested there")
-def test_a_folder_that_the_locale_cannot_spell_is_one_line(tmp_path):
+def test_a_folder_that_the_locale_cannot_encode_is_an_error_of_one_line(tmp_path):
     bare = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    asked = command(written(tmp_path), tmp_path / "Bär")
-    ran = subprocess.run(asked, env=os.environ | bare, capture_output=True, text=True, cwd=ROOT, timeout=300)
+    arguments = make_command(write_one_variant(tmp_path), tmp_path / "Bär")
+    ran = subprocess.run(arguments, env=os.environ | bare, capture_output=True, text=True, cwd=ROOT, timeout=300)
     assert ran.returncode == OutputError.exit_code and len(ran.stderr.splitlines()) == 1
     assert "statistics.nc: the locale's encoding" in ran.stderr and "PYTHONUTF8=1" in ran.stderr
-    spelt = subprocess.run([*asked, "--force"], env=os.environ | bare | {"PYTHONUTF8": "1"}, cwd=ROOT, timeout=300)
+    encoded = subprocess.run(
+        [*arguments, "--force"], env=os.environ | bare | {"PYTHONUTF8": "1"}, cwd=ROOT, timeout=300
+    )
     (folder,) = tmp_path.glob("Bär/*/only")
-    assert spelt.returncode == 0 and assert_readable(folder) == 13
+    assert again.returncode == 0 and assert_readable(folder) == 13

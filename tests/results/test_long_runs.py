@@ -1,4 +1,4 @@
-"""A long run takes no more memory and no more files open at its end than at its beginning."""
+"""A long run has no more memory and open files at its end than at its beginning."""
 
 import os
 import resource
@@ -12,13 +12,13 @@ from pipeline.results.case_run import run_case
 from tests.bodies import skip_figures, write_case
 
 
-def resident_bytes() -> int:
+def read_resident_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 @pytest.mark.slow
-def test_memory_and_open_files_stay_as_they_are(tmp_path, monkeypatch):
-    """20 000 steps in 200 frames, a checkpoint a frame; 100 000 by hand: docs/reliability.md."""
+def test_memory_and_open_files_do_not_grow(tmp_path, monkeypatch):
+    """20 000 steps in 200 frames with a checkpoint each; docs/reliability.md has 100 000."""
     skip_figures(monkeypatch)
     case = load_case(
         write_case(
@@ -30,14 +30,14 @@ def test_memory_and_open_files_stay_as_they_are(tmp_path, monkeypatch):
     )
     memory, files = [], []
 
-    def look(name, problem, frame, summary):
-        memory.append(resident_bytes())
+    def measure(name, problem, frame, summary):
+        memory.append(read_resident_bytes())
         files.append(len(os.listdir("/proc/self/fd")))
 
-    result = run_case(case, tmp_path / "out", movie=False, notify=look)
+    result = run_case(case, tmp_path / "out", movie=False, notify=measure)
     assert result.variants[0].run["work"]["steps"] == 20_000
     # the first frames load libraries and fill caches
-    half = np.array(memory[50:], dtype=float)
-    slope = np.polyfit(np.arange(len(half)), half, 1)[0] * len(half)
-    assert slope < 2e6, f"{slope / 1e6:.2g} MB more in {len(half)} frames"
+    late = np.array(memory[50:], dtype=float)
+    slope = np.polyfit(np.arange(len(late)), late, 1)[0] * len(late)
+    assert slope < 2e6, f"{slope / 1e6:.2g} MB more in {len(late)} frames"
     assert max(files[10:]) <= min(files[:10]) + 3  # those that are being written at the moment

@@ -12,14 +12,14 @@ import xarray
 from pipeline.results import variant_run
 from pipeline.series import read_series
 from pipeline.sinks.frame_formats import FORMATS
-from tests.results.test_faults import ROOT, command
+from tests.results.test_faults import ROOT, make_command
 from tests.results.test_resume import (  # noqa: F401  (fixtures)
     _default_handlers,
     _no_figures,
     assert_same_datasets,
     solve,
-    stopped_after,
-    written,
+    stop_after,
+    write_one_variant,
 )
 
 OUTPUTS = {
@@ -37,7 +37,7 @@ def _beside(monkeypatch):
 
 
 def case(folder, output, *, seconds=1e9, **sections):
-    return written(folder, **{"output": {**OUTPUTS[output], "checkpoint_seconds": seconds}, **sections})
+    return write_one_variant(folder, **{"output": {**OUTPUTS[output], "checkpoint_seconds": seconds}, **sections})
 
 
 def assert_same_series(one, other):
@@ -59,7 +59,7 @@ def assert_same_series(one, other):
 def test_a_resumed_run_is_bit_identical(tmp_path, monkeypatch, output, stop):
     path = case(tmp_path, output)
     whole = solve(path, tmp_path / "whole").variants[0]
-    folder = stopped_after(path, tmp_path / "parts", stop, monkeypatch)
+    folder = stop_after(path, tmp_path / "parts", stop, monkeypatch)
     resumed = solve(path, tmp_path / "parts", resume=True).variants[0]
     assert resumed.run["resumed_after_steps"] == [stop]
     assert_same_series(whole.folder, folder)
@@ -69,7 +69,7 @@ def test_a_resumed_run_is_bit_identical(tmp_path, monkeypatch, output, stop):
 @pytest.mark.parametrize("output", OUTPUTS)
 def test_the_dataset_is_float64_whatever_the_frames_are(tmp_path, output):
     found = solve(case(tmp_path, output), tmp_path / "out").variants[0]
-    usual = solve(written(tmp_path), tmp_path / "usual").variants[0]
+    usual = solve(write_one_variant(tmp_path), tmp_path / "usual").variants[0]
     with (
         xarray.open_dataset(found.folder / "statistics.nc") as ours,
         xarray.open_dataset(usual.folder / "statistics.nc") as theirs,
@@ -86,7 +86,7 @@ def test_the_dataset_is_float64_whatever_the_frames_are(tmp_path, output):
 def test_a_run_that_cannot_be_resumed_is_solved_from_the_start(tmp_path, monkeypatch, output, harm, vtk_errors):
     path = case(tmp_path, output)
     whole = solve(path, tmp_path / "whole").variants[0]
-    folder = stopped_after(path, tmp_path / "out", 7, monkeypatch)
+    folder = stop_after(path, tmp_path / "out", 7, monkeypatch)
     harm_files(folder, harm, output)
     resumed = solve(path, tmp_path / "out", resume=True)
     vtk_errors.clear()
@@ -139,7 +139,7 @@ def test_kill_9_at_random_moments_can_be_resumed(tmp_path, output):
     folder = out / "beam" / "only"
     for _ in range(2):
         until = last_step(folder) + moments.randint(2, 20)
-        child = subprocess.Popen(command(path, out, "--resume"), cwd=ROOT, stderr=subprocess.PIPE)
+        child = subprocess.Popen(make_command(path, out, "--resume"), cwd=ROOT, stderr=subprocess.PIPE)
         while last_step(folder) < until and child.poll() is None:
             time.sleep(0.001)
         time.sleep(moments.random() * 0.05)

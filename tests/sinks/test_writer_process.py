@@ -27,7 +27,13 @@ from pipeline.sinks.netcdf import NetcdfSink
 from pipeline.sinks.writer_process import WORTH_A_PROCESS, WriterProcess
 from pipeline.system.child import _PIPE_BYTES
 from tests.bodies import write_case
-from tests.results.test_resume import _default_handlers, _no_figures, assert_same_results, solve, written  # noqa: F401
+from tests.results.test_resume import (  # noqa: F401  (fixtures)
+    _default_handlers,
+    _no_figures,
+    assert_same_results,
+    solve,
+    write_one_variant,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 MESH = box((1.0, 1.0, 1.0), (1, 1, 1))
@@ -332,7 +338,7 @@ def test_a_checkpoint_waits_for_the_frames_before_it(tmp_path, monkeypatch):
 
     monkeypatch.setattr(CheckpointFolder, "write", looking)
     monkeypatch.setattr(variant_run, "WORTH_A_PROCESS", 0)
-    solve(written(tmp_path, seconds=1e-9), tmp_path / "out")
+    solve(write_one_variant(tmp_path, seconds=1e-9), tmp_path / "out")
     assert len(seen) == 10 and all(frames == files for frames, files in seen)
 
 
@@ -341,9 +347,9 @@ def test_small_meshes_are_written_between_steps(tmp_path, monkeypatch):
     monkeypatch.setattr(
         WriterProcess, "start_recording", lambda self, *a, **k: remote.append(a) or genuine(self, *a, **k)
     )
-    solve(written(tmp_path), tmp_path / "small")
+    solve(write_one_variant(tmp_path), tmp_path / "small")
     assert remote == []
-    path = written(tmp_path / "large", mesh=WORTH)
+    path = write_one_variant(tmp_path / "large", mesh=WORTH)
     assert len(build(load_case(path).variant("only")).body.mesh.cells) >= WORTH_A_PROCESS
     run = solve(path, tmp_path / "out").variants[0].run
     assert len(remote) == 1 and run["frames"] == 6
@@ -356,7 +362,7 @@ def test_small_meshes_are_written_between_steps(tmp_path, monkeypatch):
 @pytest.mark.parametrize("way", ["SIGKILL", "SIGINT to all", "SIGTERM to all"])
 def test_a_run_that_was_ended_resumes_to_the_same_files(tmp_path, way):
     """A terminal's Ctrl-C, and a queue that ends a job, reach all its processes."""
-    path = written(tmp_path, mesh=WORTH, schedule={"dt": 0.002, "frames": 150}, seconds=1e-9)
+    path = write_one_variant(tmp_path, mesh=WORTH, schedule={"dt": 0.002, "frames": 150}, seconds=1e-9)
     command = [sys.executable, "-m", "pipeline.cli", "run", str(path), "--no-movie", "--quiet", "--resume"]
     child = subprocess.Popen(
         [*command, "--out", str(tmp_path / "out")],

@@ -36,12 +36,12 @@ VOID = frozenset("meta input img br link".split())
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The result folder of three variants, with a title that tries to break the page."""
-    place = tmp_path_factory.mktemp("page")
-    case = load_case(write_case(place, movie={"title": TITLE}))
+    """Return the result folder of three variants, with a title that tries to break the page."""
+    root = tmp_path_factory.mktemp("page")
+    case = load_case(write_case(root, movie={"title": TITLE}))
     with pytest.MonkeyPatch.context() as patch:
         skip_figures(patch)
-        return run_case(case, place / "outputs", movie=False).folder
+        return run_case(case, root / "outputs", movie=False).folder
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +179,7 @@ def test_worst_cells_are_searched_a_few_frames_at_a_time(monkeypatch):
     assert len(cells) == 3 and np.isfinite(cells[2].volume_ratio)
 
 
-def test_movies_lie_inside_or_beside_the_page(folder, monkeypatch):
+def test_small_movies_are_inside_the_page_and_large_ones_beside_it(folder, monkeypatch):
     movie, poster = folder / "comparison.mp4", folder / "comparison.png"
     movie.write_bytes(b"film")
     poster.write_bytes(b"still")
@@ -211,24 +211,24 @@ def test_a_variant_that_failed_and_one_that_is_missing(tmp_path, monkeypatch):
         write_report(folder)
 
 
-def test_bodies_in_the_plane(tmp_path, monkeypatch):
+def test_the_page_of_planar_bodies(tmp_path, monkeypatch):
     skip_figures(monkeypatch)
     case = load_case(write_case(tmp_path, **PLANAR, supports=[{"plane": "y", "at": 3.0}]))
     text = write_report(run_case(case, tmp_path / "outputs", movie=False).folder).read_text(encoding="utf-8")
     assert "series of 24 triangles" in text and read_data(text)["energy"] == "J/m"
 
 
-def test_the_page_of_anybodys_series(folder, tmp_path, monkeypatch, capsys):
+def test_the_page_of_any_series(folder, tmp_path, monkeypatch, capsys):
     skip_figures(monkeypatch)
-    one = read_series(folder / "linear")
-    path = write_analysis_report(analyze(one, tmp_path / "one"), [one], "pipeline analyze x")
+    series = read_series(folder / "linear")
+    path = write_analysis_report(analyze(series, tmp_path / "one"), [series], "pipeline analyze x")
     text = path.read_text(encoding="utf-8")
     assert path == tmp_path / "one" / "report.html" and "One series of 18 tetrahedra" in text
     assert "pipeline analyze x" in text
     hostile = read_series(folder / "linear", name="</script><i>name")
     text = write_analysis_report(analyze(hostile, tmp_path / "hostile"), [hostile], "").read_text(encoding="utf-8")
     assert read_data(text)["labels"] == ["</script><i>name"] and Reader(text).wrong == [] and "<i>" not in text
-    pair = [one, read_series(folder / "polar", name="linear")]
+    pair = [series, read_series(folder / "polar", name="linear")]
     text = write_analysis_report(compare(pair, tmp_path / "two"), pair, "").read_text(encoding="utf-8")
     assert read_data(text)["labels"] == ["linear", "linear_2"] and "Difference of nodes" not in text
     comparison = compare(pair, tmp_path / "apart", difference=True)
@@ -249,9 +249,9 @@ def test_report_and_view_on_the_command_line(folder, monkeypatch, capsys):
     page.unlink(missing_ok=True)
     assert main(["report", str(folder)]) == 0
     assert capsys.readouterr().out == f"{page}\n" and page.is_file() and not opened
-    page.write_text("kept")
+    page.write_text("earlier")
     assert main(["view", str(folder)]) == 0
-    assert opened == [page.absolute().as_uri()] and page.read_text() == "kept"
+    assert opened == [page.absolute().as_uri()] and page.read_text() == "earlier"
     os.utime(folder / "polar" / "run.json", ns=(page.stat().st_mtime_ns + 10**9,) * 2)
     assert main(["view", str(folder), "--no-open"]) == 0
     assert len(opened) == 1 and page.read_text(encoding="utf-8").startswith("<!doctype")
@@ -261,14 +261,14 @@ def test_report_and_view_on_the_command_line(folder, monkeypatch, capsys):
     assert "no browser could be started" in capsys.readouterr().err
 
 
-def test_a_folder_without_a_result_is_a_message_of_one_line(tmp_path, capsys):
+def test_a_folder_without_a_result_is_an_error_of_one_line(tmp_path, capsys):
     for verb in ("report", "view"):
         assert main([verb, str(tmp_path / "none")]) == 2
         assert "CaseError: " in (message := capsys.readouterr().err) and message.count("\n") == 1 and "none" in message
 
 
 def test_the_result_folder_of_a_case_with_a_mesh_file_is_recognized(tmp_path, monkeypatch, project_root):
-    """Seen from there the file has another name; a page and a movie of such a folder were refused."""
+    """The relative path of the mesh differs in the result folder, which must not make it another case."""
     skip_figures(monkeypatch)
     (tmp_path / "meshes").mkdir()
     mesh = pyvista.ImageData(dimensions=(2, 2, 2)).to_tetrahedra()
