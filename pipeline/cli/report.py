@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.cli.options import SharedOptions
-from pipeline.cli.terminal import say, show_progress
+from pipeline.cli.terminal import show_notes, show_progress
 
 
 def add_verbs(verbs: Any, shared: SharedOptions) -> None:
@@ -47,5 +47,5 @@ def _view(options: argparse.Namespace) -> int:
     if not options.quiet:
         print(path)
     if not options.no_open and not webbrowser.open(path.absolute().as_uri()):
-        say(f"note: no browser could be started; open {path} yourself")
+        show_notes([f"no browser could be started; open {path} yourself"])
     return 0

@@ -7,7 +7,7 @@ from typing import Any
 
 from pipeline.case import Case, load_case, parse_override
 from pipeline.cli.options import SharedOptions, find_default
-from pipeline.cli.terminal import say, show_progress
+from pipeline.cli.terminal import say, show_notes, show_progress
 from pipeline.results.case_run import CaseResult, run_case
 
 
@@ -98,14 +98,13 @@ def _run(options: argparse.Namespace) -> int:
             say(f"SolveError: {v.name}: {v.run['message']}; the frames before it are in {v.folder}")
     if not quiet:
         _print_summary(result)
-    elif not options.json:
-        for note in result.notes:
-            say(f"note: {note}")
+    if not options.json:
+        show_notes(result.notes)
     return result.exit_code
 
 
 def _print_summary(result: CaseResult) -> None:
-    """Print a line per variant, the notes and the files."""
+    """Print a line per variant and the files."""
     for v in result.variants:
         worst = v.run.get("worst")
         if v.status == "up to date":
@@ -119,8 +118,6 @@ def _print_summary(result: CaseResult) -> None:
             )
         else:
             print(f"{v.name:<14} {v.status}")
-    for note in result.notes:
-        print(f"note: {note}")
     print(f"results in {result.folder}" + "".join(f"\n  {path.name}" for path in result.files))
     for v in result.variants:
         print(f"  {v.name}/series.pvd")

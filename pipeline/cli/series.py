@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.cli.options import SharedOptions
-from pipeline.cli.terminal import say, show_progress
+from pipeline.cli.terminal import show_notes, show_progress
 from pipeline.results.analysis_folder import Analysis, Comparison
 from pipeline.series import Series, read_series
 
@@ -57,8 +57,7 @@ def _analyze(options: argparse.Namespace) -> int:
         analysis = analyze(
             series, options.out, movie=options.movie, on_frame=bar.show_reading, on_drawing=bar.show_picture
         )
-    for note in analysis.notes:
-        say(f"note: {note}")
+    show_notes(analysis.notes)
     if not options.quiet:
         worst = f"{analysis.worst_volume_ratio:.4f} (cell {analysis.worst_cell}, t = {analysis.worst_time:.4g} s)"
         print(f"{analysis.name}: {analysis.frames} frames; worst volume ratio {worst}", *analysis.files, sep="\n  ")
@@ -79,8 +78,7 @@ def _compare(options: argparse.Namespace) -> int:
             on_frame=bar.show_reading,
             on_drawing=bar.show_picture,
         )
-    for note in comparison.notes:
-        say(f"note: {note}")
+    show_notes(comparison.notes)
     if not options.quiet:
         print(*comparison.files, sep="\n")
         for distance in comparison.node_distances:

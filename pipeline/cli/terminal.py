@@ -1,7 +1,7 @@
 """Output to the terminal: lines on standard error and progress bars."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,6 +14,12 @@ from pipeline.stepping.report import RUNG_NAMES
 def say(line: str) -> None:
     """Print a line on standard error."""
     print(line, file=sys.stderr)
+
+
+def show_notes(notes: Iterable[str]) -> None:
+    """Print notes on standard error, a line each."""
+    for note in notes:
+        say(f"note: {note}")
 
 
 class Bars:
@@ -34,7 +40,7 @@ class Bars:
         wall = summary.wall_seconds
         rate = f"{summary.steps / wall:6.0f} steps/s" if summary.steps else ""
         rung = f"  {RUNG_NAMES[int(frame.known['rung'])]}" if "rung" in frame.known else ""
-        self._show(name, frame.step or 0, total, f"{rate}  worst V/V0 {summary.worst_volume_ratio:.4f}{rung}")
+        self._show(name, frame.step or 0, total, f"{rate}  worst volume ratio {summary.worst_volume_ratio:.4f}{rung}")
 
     def show_picture(self, done: int, total: int) -> None:
         """Show a frame of the movie."""

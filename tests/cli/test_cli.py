@@ -1,5 +1,6 @@
 """The command line: every error is one line with its exit code; --quiet prints nothing."""
 
+import inspect
 import json
 import re
 import subprocess
@@ -12,6 +13,7 @@ import pytest
 
 from pipeline.case import load_case
 from pipeline.cli import main
+from pipeline.cli.study import STUDIES
 from pipeline.cli.terminal import Bars
 from pipeline.errors import SolveError, shorten
 from pipeline.results.case_run import run_case
@@ -176,6 +178,29 @@ def test_wrong_usage_exits_with_two_and_shows_the_usage(capfd, arguments):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
     assert caught.value.code == 2 and "usage: pipeline" in capfd.readouterr().err
+
+
+VERBS = "run check movie reproduce methods analyze compare report view schema".split()
+
+
+@pytest.mark.parametrize("verb", [[name] for name in VERBS] + [["study", name] for name in STUDIES], ids=" ".join)
+def test_every_option_has_a_help_text(capfd, verb):
+    with pytest.raises(SystemExit) as caught:
+        main([*verb, "--help"])
+    options = re.split(r"\n  (?=-)", capfd.readouterr().out.partition("options:")[2])
+    assert caught.value.code == 0 and "--debug" in "".join(options)
+    assert [text for text in options[1:] if not re.search(r"(  |\n +)\S", text)] == []
+
+
+def test_defaults_in_the_help_are_those_of_the_library(capfd):
+    from pipeline.studies.tradeoff.settings import make_plan
+    from pipeline.studies.tradeoff.study import study_tradeoff
+
+    with pytest.raises(SystemExit):
+        main(["study", "tradeoff", "--help"])
+    text = capfd.readouterr().out
+    for function, name in ((make_plan, "tolerance"), (study_tradeoff, "repeats")):
+        assert f"({inspect.signature(function).parameters[name].default})" in text
 
 
 def test_debug_shows_where_an_error_comes_from(case):

@@ -252,7 +252,7 @@ def test_a_failing_encoder_costs_only_the_movie(tmp_path, monkeypatch, capfd, sc
     path, out = write_one_variant(tmp_path), tmp_path / "out"
     assert main(["run", str(path), "--out", str(out)]) == 0
     shown = capfd.readouterr()
-    assert re.search(r"note: .*comparison\.mp4: the encoder failed \(exit code .*\): no such codec", shown.out)
+    assert re.search(r"note: .*comparison\.mp4: the encoder failed \(exit code .*\): no such codec", shown.err)
     assert "Traceback" not in shown.err
     assert not (out / "beam" / "comparison.mp4").exists() and list(out.rglob(".*.tmp*")) == []
     assert (out / "beam" / "comparison.nc").exists() and assert_readable(out / "beam" / "only") == 13
@@ -375,4 +375,4 @@ def test_a_folder_that_the_locale_cannot_encode_is_an_error_of_one_line(tmp_path
         [*arguments, "--force"], env=os.environ | bare | {"PYTHONUTF8": "1"}, cwd=ROOT, timeout=300
     )
     (folder,) = tmp_path.glob("Bär/*/only")
-    assert again.returncode == 0 and assert_readable(folder) == 13
+    assert encoded.returncode == 0 and assert_readable(folder) == 13
