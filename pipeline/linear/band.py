@@ -48,7 +48,7 @@ class Band:
 
     def fill(self, values: Floats, storage: np.ndarray) -> np.ndarray:
         """Write the values (blocks, d, d) into storage (size, width); return it as LAPACK's (width, size)."""
-        from pipeline.linear.kernels.vectors import fill
+        from pipeline.linear.kernels.band import fill_band
 
-        fill(values.reshape(-1), *self._entries, storage.reshape(-1))
+        fill_band(values.reshape(-1), *self._entries, storage.reshape(-1))
         return storage.T

@@ -40,7 +40,7 @@ class PardisoFactor:
     def __init__(self, pattern: BlockPattern, dtype: type) -> None:
         self.size = pattern.nodes * pattern.dimension
         self._handle = np.zeros(64, dtype=np.int64)
-        self._stored, self._indptr, self._indices = _upper(pattern)
+        self._stored, self._indptr, self._indices = _find_upper_entries(pattern)
         self._entries: np.ndarray = np.empty(len(self._stored), dtype=dtype)
         self._options = np.zeros(64, dtype=np.int32)
         # not the default options: nested dissection, no refinement, single or double precision
@@ -77,7 +77,7 @@ class PardisoFactor:
         kind, at_phase, size, silent, error = (one + 4 * i for i in range(1, 6))
         load_mkl().pardiso(
             *map(ctypes.c_void_p, (handle, one, one, kind, at_phase, size, entries, indptr, indices, None, one)),
-            *map(ctypes.c_void_p, (options, silent, _address(b), _address(x), error)),
+            *map(ctypes.c_void_p, (options, silent, _find_address(b), _find_address(x), error)),
         )
         if self._numbers[5] == -4:
             raise SolveError("the system's matrix is not positive definite")
@@ -85,12 +85,12 @@ class PardisoFactor:
             raise SolveError(f"MKL's Pardiso failed (error {self._numbers[5]}); try another method.linear_solver")
 
 
-def _address(array: np.ndarray | None) -> int | None:
+def _find_address(array: np.ndarray | None) -> int | None:
     """Return the address of an array; ctypes' pointer objects would leave garbage behind in every call."""
     return None if array is None else array.ctypes.data
 
 
-def _upper(pattern: BlockPattern) -> tuple[Ints, np.ndarray, np.ndarray]:
+def _find_upper_entries(pattern: BlockPattern) -> tuple[Ints, np.ndarray, np.ndarray]:
     """Return the flat entries of the values on and above the diagonal, their row pointers and columns, counted from 1.
 
     A stored block below the diagonal is read as its transpose above it.

@@ -141,10 +141,10 @@ def _scatter_stiffness(G, vm, vl, R, lane, blocks, g, A):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
+def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, has_rotations, Rs, f, A):
     """Write the forces into f (n, 3) and add scale times the frozen stiffness to A (blocks, 3, 3).
 
-    The rotations are Rs (e, 3, 3) if given, else those of x.
+    The rotations are Rs (e, 3, 3) if has_rotations, else those of x.
     """
     f[:] = 0.0
     F, R, P, W, root, good, C = allocate_lanes()
@@ -152,7 +152,7 @@ def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
     for first in range(0, len(V), LANES):
         count = min(LANES, len(V) - first)
         compute_gradients(x, cells, G[first // LANES], first, P, F)
-        if given:
+        if has_rotations:
             load_lanes(Rs, first, count, R)
         else:
             find_rotations(rotation, F, count, R, root, good, C)

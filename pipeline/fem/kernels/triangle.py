@@ -103,17 +103,17 @@ def force(x, cells, G, V, mu, lam, rotation, f):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, given, Rs, f, A):
+def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, has_rotations, Rs, f, A):
     """Write the forces into f (n, 2) and add scale times the frozen stiffness to A (blocks, 2, 2).
 
     A cell adds V mu ((G_a . G_b) I + g_b g_a^T) + V lam g_a g_b^T, g = R G, to the block (a, b <= a). The rotations
-    are Rs (e, 2, 2) if given, else those of x.
+    are Rs (e, 2, 2) if has_rotations, else those of x.
     """
     f[:] = 0.0
     g = np.empty((3, 2))
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        R = _load(Rs, e) if given else _rotation(rotation, F)
+        R = _load(Rs, e) if has_rotations else _rotation(rotation, F)
         _scatter_force(cells[e], G[e], V[e], _stress(F, R, mu, lam), f)
         _rotate_gradients(G[e], R[0], R[1], g)
         vm, vl, k = scale * V[e] * mu, scale * V[e] * lam, 0

@@ -5,14 +5,6 @@ from numba import njit
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill(values, stored, target, band):
-    """Write values[stored] to band[target], both flat, and zero elsewhere."""
-    band[:] = 0.0
-    for k in range(len(stored)):
-        band[target[k]] = values[stored[k]]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
 def dot(a, b):
     """Return a . b."""
     total = 0.0
