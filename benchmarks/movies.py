@@ -1,10 +1,10 @@
-"""How many antialiased pictures a second a movie of two bodies gets, the encoding included.
+"""The antialiased pictures a second of a movie of two bodies, including the encoding.
 
     python benchmarks/movies.py 2x8x2 [--frames 100] [--repeats 3]
 
-The bar of the thesis, linear beside polar, 1280x720, every picture another one. The frames are on disk, as a run
-leaves them. "Pictures" are from the first one to the closed file; "whole" has the reading and OpenGL's start too.
-Wall time; nothing else should run.
+The bar of the thesis, linear beside polar, 1280x720, all pictures different. The frames are on disk, as after a run.
+"Pictures" counts from the first one to the closed file; "whole" includes reading and the start of OpenGL. Wall time;
+nothing else should run.
 """
 
 import argparse
@@ -24,7 +24,7 @@ FPS = 30.0
 
 
 def main() -> None:
-    """Print what the mesh of the command line takes."""
+    """Print the rates for the mesh on the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("boxes", help="along x, y and z: 2x8x2")
     parser.add_argument("--frames", type=int, default=100)
@@ -33,31 +33,30 @@ def main() -> None:
     keys = {"mesh.cells": [int(n) for n in options.boxes.split("x")], "schedule.frames": options.frames - 1}
     case = load_case(CASE, overrides=keys)
     with tempfile.TemporaryDirectory(prefix="movies_") as name:
-        solved = run_case(case, Path(name), variants=VARIANTS, movie=False).variants
-        rows = [
-            _rates([variant.folder for variant in solved], Path(name) / "movie.mp4") for _ in range(options.repeats)
-        ]
-    for i, what in enumerate(("pictures", "whole")):
-        print(f"{what:10}{median(row[i] for row in rows):7.1f} a second")
+        results = run_case(case, Path(name), variants=VARIANTS, movie=False).variants
+        movie = Path(name) / "movie.mp4"
+        rows = [_measure_rates([variant.folder for variant in results], movie) for _ in range(options.repeats)]
+    for i, name in enumerate(("pictures", "whole")):
+        print(f"{name:10}{median(row[i] for row in rows):7.1f} a second")
 
 
-def _rates(folders: list[Path], movie: Path) -> tuple[float, float]:
-    """Return pictures a second, from the first one on and with all that comes before."""
-    began, drawn = time.perf_counter(), list[float]()
+def _measure_rates(folders: list[Path], movie: Path) -> tuple[float, float]:
+    """Return the pictures a second, from the first one on and from the start of reading."""
+    began, picture_times = time.perf_counter(), list[float]()
     series = [read_series(folder) for folder in folders]
     span = float(series[0].times[-1] - series[0].times[0])
-    speed = span / (len(series[0].times) - 1) * FPS  # a frame of film each frame of the series
-    made = write_movie(
+    speed = span / (len(series[0].times) - 1) * FPS  # one frame of film for each frame of the series
+    movie_report = write_movie(
         series,
         VARIANTS,
         movie,
         title="movies",
         speed=speed,
         fps=FPS,
-        on_frame=lambda *_: drawn.append(time.perf_counter()),
+        on_frame=lambda *_: picture_times.append(time.perf_counter()),
     )
     ended = time.perf_counter()
-    return (made.scenes - 1) / (ended - drawn[0]), made.scenes / (ended - began)
+    return (movie_report.scenes - 1) / (ended - picture_times[0]), movie_report.scenes / (ended - began)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""What the same questions cost of the same series in this package and in ogstools' MeshSeries.
+"""The cost of the same questions about the same series in this package and in ogstools' MeshSeries.
 
     python benchmarks/series.py SERIES.pvd --theirs VENV/bin/python [--repeats 5]
 
-ogstools lives in an environment of its own (python -m venv VENV; VENV/bin/pip install ogstools). Every figure is of a
-process of its own that imports, opens, asks once (seconds of processor, and the peak of memory of the whole process)
-and asks again (what is kept counts then). Medians over the repeats; a sum over the answer shows that both gave the
-same. Seconds of processor, as others may be at work on the machine; nothing here runs in parallel.
+ogstools is in an environment of its own (python -m venv VENV; VENV/bin/pip install ogstools). Each figure is from one
+process that imports, opens, asks once (processor seconds, and the peak memory of the whole process) and asks again with
+its caches. Medians over the repeats; a sum over each answer shows that both are the same. Processor seconds, as other
+programs may be running; nothing here runs in parallel.
 """
 
 import argparse
@@ -20,19 +20,19 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-POINTS = 100  # that are probed
+POINTS = 100  # to probe
 RESAMPLED = 500  # times between frames
-CELLS = 40  # that are extracted
+CELLS = 40  # to extract
 
 
-def ours(path: Path, folder: Path) -> tuple[float, dict[str, Callable[[], Any]]]:
-    """Return when the imports were done, and the questions in xarray."""
+def ask_ours(path: Path, folder: Path) -> tuple[float, dict[str, Callable[[], Any]]]:
+    """Return the time after the imports, and the questions in xarray."""
     import numpy as np
     import xarray
 
     done, ds = time.process_time(), xarray.open_dataset(path)
     t = ds.time.values
-    between, probes = _between(t), _probes(ds.rest_position.values, ds.connectivity.values)
+    between, probes = _choose_times(t), _choose_points(ds.rest_position.values, ds.connectivity.values)
     return done, {
         "open": lambda: xarray.open_dataset(path).sizes["time"],
         "read one field": lambda: ds.displacement.values.sum(),
@@ -47,19 +47,19 @@ def ours(path: Path, folder: Path) -> tuple[float, dict[str, Callable[[], Any]]]
         "time of the extreme": lambda: ds.volume_ratio.idxmax("time").values.sum(),
         "extract 40 cells": lambda: ds.deformation.extract(np.arange(CELLS)).load().volume_ratio.values.sum(),
         "extract a fifth of the times": lambda: ds.isel(time=slice(None, len(t) // 5)).load().velocity.values.sum(),
-        "save": lambda: _bytes(ds.deformation.to_pvd(folder / f"{time.monotonic_ns()}.pvd")),
+        "save": lambda: _is_written(ds.deformation.to_pvd(folder / f"{time.monotonic_ns()}.pvd")),
     }  # fmt: skip
 
 
-def theirs(path: Path, folder: Path) -> tuple[float, dict[str, Callable[[], Any]]]:
-    """Return when the imports were done, and the questions in ogstools."""
+def ask_theirs(path: Path, folder: Path) -> tuple[float, dict[str, Callable[[], Any]]]:
+    """Return the time after the imports, and the questions in ogstools."""
     import numpy as np
     import ogstools
     from ogstools.mesh.differences import difference
 
     done, ms = time.process_time(), ogstools.MeshSeries(path)
     t, first = ms.timevalues, ms[0]
-    between, probes = _between(t), _probes(first["rest_position"], first.cells_dict[10])
+    between, probes = _choose_times(t), _choose_points(first["rest_position"], first.cells_dict[10])
     whole = ogstools.MeshSeries.difference
     return done, {
         "open": lambda: len(ogstools.MeshSeries(path)),
@@ -76,33 +76,33 @@ def theirs(path: Path, folder: Path) -> tuple[float, dict[str, Callable[[], Any]
         "time of the extreme": lambda: ms.time_of_max("volume_ratio")["max_volume_ratio_time"].sum(),
         "extract 40 cells": lambda: ms.extract(np.arange(CELLS), "cells").values("volume_ratio").sum(),
         "extract a fifth of the times": lambda: ms[: len(t) // 5].values("velocity").sum(),
-        "save": lambda: _bytes(ms.save(folder / f"{time.monotonic_ns()}.pvd")[0]),
+        "save": lambda: _is_written(ms.save(folder / f"{time.monotonic_ns()}.pvd")[0]),
     }  # fmt: skip
 
 
-LIBRARIES = {"ours": ours, "theirs": theirs}
+LIBRARIES = {"ours": ask_ours, "theirs": ask_theirs}
 
 
-def _between(times: Any) -> Any:
-    """Return times that are none of the frames'."""
+def _choose_times(times: Any) -> Any:
+    """Return times between those of the frames."""
     import numpy as np
 
     return np.linspace(times[0], times[-1], RESAMPLED + 2)[1:-1]
 
 
-def _probes(rest: Any, cells: Any) -> Any:
-    """Return centres of cells at rest: where a linear field has the mean of the corners, whoever splits the box."""
+def _choose_points(rest: Any, cells: Any) -> Any:
+    """Return centers of cells at rest, where a linear field is the mean of its corners."""
     import numpy as np
 
     return rest[cells[np.linspace(0, len(cells) - 1, POINTS).astype(int)]].mean(axis=1)
 
 
-def _bytes(index: Path) -> int:
+def _is_written(index: Path) -> bool:
     return index.stat().st_size > 0
 
 
-def child(library: str, task: str, path: Path) -> None:
-    """Print what one task took in this process, as JSON."""
+def run_child(library: str, task: str, path: Path) -> None:
+    """Print the cost of one task in this process, as JSON."""
     import resource
 
     start = time.process_time()
@@ -117,12 +117,12 @@ def child(library: str, task: str, path: Path) -> None:
             if len(seconds) == 1:
                 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         peak += resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    told = {"imported": imported - start, "opened": opened - imported, "first": seconds[0], "again": seconds[1]}
-    print(json.dumps(told | {"peak": peak, "answer": answer}))
+    costs = {"imported": imported - start, "opened": opened - imported, "first": seconds[0], "again": seconds[1]}
+    print(json.dumps(costs | {"peak": peak, "answer": answer}))
 
 
-def measured(python: str, library: str, task: str, path: Path, repeats: int) -> dict[str, float]:
-    """Return the medians of a task over processes of their own."""
+def measure_task(python: str, library: str, task: str, path: Path, repeats: int) -> dict[str, float]:
+    """Return the medians of a task over several processes."""
     command = [python, __file__, str(path), "--child", library, task]
     one_thread = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     rows = []
@@ -140,25 +140,25 @@ def main() -> None:
     parser.add_argument("series", type=Path)
     parser.add_argument("--theirs", help="the python of an environment with ogstools")
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--task", action="append", help="only these")
+    parser.add_argument("--task", action="append", help="only this; may be repeated")
     parser.add_argument("--child", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
     path = options.series.resolve()
     if options.child:
-        child(*options.child, path)
+        run_child(*options.child, path)
         return
     pythons = {"ours": sys.executable} | ({"theirs": options.theirs} if options.theirs else {})
     names = options.task or list(TASKS)
-    heads = [f"{which}, {what}" for what in ("s", "again [s]", "peak [MB]") for which in pythons]
+    heads = [f"{which}, {number}" for number in ("s", "again [s]", "peak [MB]") for which in pythons]
     print(f"| {' | '.join(['task', *heads])} | same answer |\n|{' --- |' * (len(heads) + 2)}")
     for name in names:
-        found = {which: measured(python, which, name, path, options.repeats) for which, python in pythons.items()}
+        costs = {which: measure_task(python, which, name, path, options.repeats) for which, python in pythons.items()}
         if name == names[0]:
-            start = {which: f"{row['imported']:.2f} + {row['opened']:.3f}" for which, row in found.items()}
-        cells = [f"{row['first']:.3g}" for row in found.values()]
-        cells += [f"{row['again']:.3g}" for row in found.values()]
-        cells += [f"{row['peak']:.0f}" for row in found.values()]
-        answers = [row["answer"] for row in found.values()]
+            start = {which: f"{row['imported']:.2f} + {row['opened']:.3f}" for which, row in costs.items()}
+        cells = [f"{row['first']:.3g}" for row in costs.values()]
+        cells += [f"{row['again']:.3g}" for row in costs.values()]
+        cells += [f"{row['peak']:.0f}" for row in costs.values()]
+        answers = [row["answer"] for row in costs.values()]
         same = abs(answers[-1] - answers[0]) <= 1e-6 * max(1.0, abs(answers[0]))
         print(f"| {name} | {' | '.join(cells)} | {'yes' if same else answers} |", flush=True)
     print(f"\nimports + the first opening [s]: {start}")

@@ -1,11 +1,11 @@
-"""What solving, writing and both together take a frame, and how well writing overlaps solving.
+"""The time of solving, writing and both together for each frame, and the overlap of the two.
 
     python benchmarks/writing.py 8x26x8 [--frames 300] [--repeats 5] [--format vtu] [--precision float64]
 
-The thesis' bar of so many boxes, six tetrahedra each, one frame a step of one solve (dt .07 s, polar rotations).
-Solving alone has the frames thrown away; writing alone has them all in memory. Wall time, milliseconds a frame, the
-median of the repeats, which take turns; the process that writes is there before the first frame. Nothing else should
-run. "Unrelated" solves in one process and writes what is in memory in another: no overlap is better than that.
+The thesis' bar of so many boxes, six tetrahedra each, one solve a step and one step a frame (dt .07 s, polar rotation).
+"Solving alone" discards the frames; "writing alone" has them all in memory. Wall time, milliseconds a frame, the median
+of the repeats, which take turns; the writer process is started before. Nothing else should run. "Unrelated" solves in
+one process and writes frames from memory in another: no overlap can be better.
 """
 
 import argparse
@@ -31,7 +31,7 @@ CASE = Path(__file__).parent.parent / "cases" / "bar_as_printed.toml"
 
 
 def main() -> None:
-    """Print what the mesh of the command line takes."""
+    """Print the times for the mesh on the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("boxes", help="along x, y and z: 8x26x8")
     parser.add_argument("--frames", type=int, default=300)
@@ -43,21 +43,21 @@ def main() -> None:
     problem = build(load_case(CASE, overrides={**keys, "method.linear_rtol": 1e-6}).variant("polar"))
     folder = Path(tempfile.mkdtemp(prefix="writing_"))
 
-    def sinks() -> list[Sink]:
+    def make_sinks() -> list[Sink]:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         first = FORMATS[options.format].make_sink(folder, [], options.precision, options.frames)
         return [first, NetcdfSink(folder / "statistics.nc", title="writing")]
 
-    def seconds(watcher: Watcher, kept: list[Frame] | None = None) -> float:
-        source = frames(problem) if kept is None else iter(kept)
-        first, began = next(source), time.perf_counter()  # the set-up is behind us
+    def time_frames(watcher: Watcher, recorded: list[Frame] | None = None) -> float:
+        source = frames(problem) if recorded is None else iter(recorded)
+        first, began = next(source), time.perf_counter()  # after the set-up
         watcher.take(first)
         drive(source, watcher)
         return time.perf_counter() - began
 
-    def unrelated() -> float:
-        """Both at once, by processes that know nothing of each other: what the machine allows."""
+    def time_unrelated() -> float:
+        """Both at once, in two processes without a connection: the best that the machine allows."""
         source = frames(problem)
         next(source)
         began = time.perf_counter()
@@ -66,32 +66,32 @@ def main() -> None:
             for _ in source:
                 pass
             os._exit(0)
-        seconds(Recording(sinks()), kept)
+        time_frames(Recording(make_sinks()), recorded)
         os.waitpid(solver, 0)
         return time.perf_counter() - began
 
     with threadpool_limits(limits=1, user_api="blas"), WriterProcess() as writer:
-        kept = list(frames(problem))
+        recorded = list(frames(problem))
         ways: dict[str, Callable[[], float]] = {
-            "solving alone": lambda: seconds(_Nowhere()),
-            "writing alone": lambda: seconds(Recording(sinks()), kept),
-            "one after the other": lambda: seconds(Recording(sinks())),
-            "beside each other": lambda: seconds(writer.start_recording(sinks())),
-            "unrelated, at once": unrelated,
+            "solving alone": lambda: time_frames(_NoWatcher()),
+            "writing alone": lambda: time_frames(Recording(make_sinks()), recorded),
+            "one after the other": lambda: time_frames(Recording(make_sinks())),
+            "beside each other": lambda: time_frames(writer.start_recording(make_sinks())),
+            "unrelated, at once": time_unrelated,
         }
-        seconds(writer.start_recording(sinks()), kept[:10])  # it has started
+        time_frames(writer.start_recording(make_sinks()), recorded[:10])  # the writer has started
         rows = [{name: way() for name, way in ways.items()} for _ in range(options.repeats)]
-    took = {name: 1e3 * median(row[name] for row in rows) / options.frames for name in ways}
+    times = {name: 1e3 * median(row[name] for row in rows) / options.frames for name in ways}
     print(f"{len(problem.body.mesh.cells)} tetrahedra, {options.frames} frames, ms a frame")
-    for name, value in {**took, **parts(kept, sinks())}.items():
+    for name, value in {**times, **measure_parts(recorded, make_sinks())}.items():
         print(f"{name:24}{value:9.2f}")
-    larger = max(took["solving alone"], took["writing alone"])
+    larger = max(times["solving alone"], times["writing alone"])
     for name in ("one after the other", "beside each other", "unrelated, at once"):
-        print(f"{name} over the larger of the two: {took[name] / larger:.2f}")
+        print(f"{name} over the larger of the two: {times[name] / larger:.2f}")
     shutil.rmtree(folder)
 
 
-class _Nowhere:
+class _NoWatcher:
     """Takes frames and does nothing."""
 
     def take(self, frame: Frame) -> None:
@@ -104,20 +104,20 @@ class _Nowhere:
         pass
 
 
-def parts(kept: list[Frame], sinks: list[Sink]) -> dict[str, float]:
-    """Return the medians [ms] of measuring a frame and of each sink's writing it."""
-    took: dict[str, list[float]] = {}
-    for frame in kept:
+def measure_parts(recorded: list[Frame], sinks: list[Sink]) -> dict[str, float]:
+    """Return the medians [ms] of measuring a frame and of writing it to each sink."""
+    times: dict[str, list[float]] = {}
+    for frame in recorded:
         began = time.perf_counter()
         measured = measure(frame)
-        took.setdefault("  measuring", []).append(time.perf_counter() - began)
+        times.setdefault("  measuring", []).append(time.perf_counter() - began)
         for sink in sinks:
             began = time.perf_counter()
             sink.write(frame, measured)
-            took.setdefault(f"  {type(sink).__name__}", []).append(time.perf_counter() - began)
+            times.setdefault(f"  {type(sink).__name__}", []).append(time.perf_counter() - began)
     for sink in sinks:
         sink.close()
-    return {name: 1e3 * median(values) for name, values in took.items()}
+    return {name: 1e3 * median(values) for name, values in times.items()}
 
 
 if __name__ == "__main__":
