@@ -12,9 +12,9 @@ from pipeline.arrays import Floats
 from pipeline.fem.assembly import sort_corners
 from pipeline.fem.body import Body
 from pipeline.fem.frame_error import FrameError, indicator, spurious_volume
+from pipeline.fem.kernels import IDENTITY, POLAR
 from pipeline.fem.laws import CREASE, Corotational, Law, Linear, Tangent
 from pipeline.fem.mass import MassModel
-from pipeline.fem.rotation import IDENTITY, POLAR
 from pipeline.fem.supports import Supports
 from pipeline.mesh.simplex import Mesh
 

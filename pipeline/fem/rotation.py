@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.arrays import Floats
+from pipeline.fem.kernels import GRAM_SCHMIDT, POLAR
 
 # a column of which less than this part is left counts as zero, or parallel to the one before: its direction is rounding
 _NULL = 1e-14
-POLAR, GRAM_SCHMIDT, IDENTITY = 0, 1, 2  # the numbers by which compiled kernels know rotations
 
 
 @dataclass(frozen=True, repr=False)

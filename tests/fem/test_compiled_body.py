@@ -5,20 +5,11 @@ import pytest
 
 from pipeline.fem.body import Body
 from pipeline.fem.compiled_body import CompiledBody, LinearBody, make_body
+from pipeline.fem.kernels import GRAM_SCHMIDT, IDENTITY, POLAR
 from pipeline.fem.laws import Corotational, Linear
 from pipeline.fem.mass import CONSISTENT_MASS
 from pipeline.fem.material import Material
-from pipeline.fem.rotation import (
-    GRAM_SCHMIDT,
-    GRAM_SCHMIDT_ROTATION,
-    IDENTITY,
-    POLAR,
-    POLAR_ROTATION,
-    Rotation,
-    gram_schmidt,
-    polar,
-    polar_by_svd,
-)
+from pipeline.fem.rotation import GRAM_SCHMIDT_ROTATION, POLAR_ROTATION, Rotation, gram_schmidt, polar, polar_by_svd
 from pipeline.fem.supports import Supports
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh, edge_matrices, signed_volumes

@@ -7,7 +7,7 @@ vectorizes such loops; cells for which they lose digits are computed again, one 
 import numpy as np
 from numba import njit
 
-from pipeline.fem.rotation import GRAM_SCHMIDT, POLAR
+from pipeline.fem.kernels import GRAM_SCHMIDT, POLAR
 
 LANES = 32
 # Newton on the quartic starts above its largest root and falls monotonically; near a double root it slows down, and

@@ -7,7 +7,7 @@ enough to write out cell by cell: with F = [[a, b], [c, d]] the polar rotation i
 import numpy as np
 from numba import njit
 
-from pipeline.fem.rotation import GRAM_SCHMIDT, POLAR
+from pipeline.fem.kernels import GRAM_SCHMIDT, POLAR
 
 _NULL = 1e-14  # as in rotation.py: below this part of F the vector is rounding, and the rotation the identity
 
