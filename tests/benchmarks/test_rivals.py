@@ -97,7 +97,7 @@ def test_no_other_program_is_needed(cases_folder, tmp_path, capsys, monkeypatch)
     arguments = [case, "--cells", "1x1x1", "--quiet", "--out", str(tmp_path), "--no-baseline"]
     assert scaling.main([*arguments, "--method", "linear"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[2].startswith("not compared with felupe, mujoco: pip install 'corotational-pipeline[bench]'")
+    assert lines[3].startswith("not compared with felupe, mujoco: pip install 'corotational-pipeline[bench]'")
     assert scaling.main([*arguments, "--method", "mujoco"]) == 2
     assert "--method mujoco: is not installed: pip install" in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""The study of extremes: nodes are moved as it says, outcomes are told apart, nothing that is no number is written."""
+"""The study of extremes: nodes are moved as described, outcomes differ, and every number is finite."""
 
 import json
 from pathlib import Path
@@ -23,12 +23,12 @@ BAR = box((4.0, 12.0, 4.0), (2, 8, 2))
 PLATE = rectangle((1.0, 3.0), (2, 6))
 
 
-# Nodes moved on purpose
+# Displaced nodes
 
 
 @pytest.mark.parametrize("mesh", [BAR, box((1.0, 1.0, 1.0), (1, 1, 1)), PLATE], ids=["bar", "cube", "plate"])
 @pytest.mark.parametrize("part", [0.5, 0.9, 0.999, 1.2, 3.0])
-def test_apexes_go_the_part_of_the_way_to_their_bases_that_is_asked_for(mesh, part):
+def test_apexes_move_by_the_given_part_of_the_way_to_their_bases(mesh, part):
     X, free = mesh.points, np.arange(1, len(mesh.points))
     x = move_apexes(mesh, free, part, seed=0)
     ratio = signed_volumes(x, mesh.cells) / mesh.rest_volumes
@@ -39,7 +39,7 @@ def test_apexes_go_the_part_of_the_way_to_their_bases_that_is_asked_for(mesh, pa
     assert np.array_equal(x, move_apexes(mesh, free, part, seed=0))
 
 
-def test_an_apex_that_cannot_be_moved_is_refused_and_one_cell_alone_is_not():
+def test_an_apex_that_cannot_be_moved_is_an_error_but_a_single_cell_is_not():
     one = Mesh(np.concatenate([np.zeros((1, 3)), np.eye(3)]), np.arange(4)[None])
     x = move_apexes(one, np.array([3]), 1.2, seed=0)
     assert x[3, 2] == pytest.approx(-0.2)
@@ -47,7 +47,7 @@ def test_an_apex_that_cannot_be_moved_is_refused_and_one_cell_alone_is_not():
         move_apexes(one, np.array([], dtype=np.int64), 0.5, seed=0)
 
 
-def test_a_scramble_moves_free_nodes_only_and_by_no_more_than_asked():
+def test_a_scramble_moves_only_free_nodes_and_only_as_far_as_given():
     free = np.arange(9, 81)
     away = scramble_nodes(BAR, free, 3.0, seed=1) - BAR.points
     assert not away[:9].any() and 2.9 < np.abs(away).max() <= 3.0
@@ -57,7 +57,7 @@ def test_a_scramble_moves_free_nodes_only_and_by_no_more_than_asked():
 # One trial
 
 
-def settings(folder: Path, name: str, value: float, method: str, **sections: object) -> dict:
+def make_settings(folder: Path, name: str, value: float, method: str, **sections: object) -> dict:
     case = load_case(write_case(folder, **sections))
     mesh = PLATE if "mesh" in sections else box((1.0, 3.0, 1.0), (1, 3, 1))
     return make_trial_settings(
@@ -65,15 +65,15 @@ def settings(folder: Path, name: str, value: float, method: str, **sections: obj
     )
 
 
-def check(result: dict) -> None:
-    """Nothing is missing, and every number is one."""
+def assert_finite(result: dict) -> None:
+    """No key is missing, and every number is finite."""
     assert set(result) == {*trial.NO_RUN, "outcome"}
     assert json.dumps(result, allow_nan=False)
     assert all(np.isfinite(result[key]) for key in trial.NO_RUN if key != "message")
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "method", "wanted"),
+    ("name", "value", "method", "expected"),
     [
         ("dt", 1e-6, "polar bdf2", "survives"),
         ("dt", 10.0, "polar symplectic_euler", "refused"),
@@ -91,51 +91,51 @@ def check(result: dict) -> None:
         ("inversion", 0.8, "polar symplectic_euler", "wrong_volume"),  # it has no damping
     ],
 )
-def test_a_trial_ends_as_its_method_does(tmp_path, name, value, method, wanted):
-    result = trial.run_trial(settings(tmp_path, name, value, method))
-    check(result)
-    assert result["outcome"] == wanted
-    assert bool(result["message"]) == (wanted == "refused")
+def test_a_trial_has_the_outcome_of_its_method(tmp_path, name, value, method, expected):
+    result = trial.run_trial(make_settings(tmp_path, name, value, method))
+    assert_finite(result)
+    assert result["outcome"] == expected
+    assert bool(result["message"]) == (expected == "refused")
 
 
 @pytest.mark.parametrize("name", SLICES)
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_at_the_extremes_of_every_slice_is_told_in_numbers_in_the_plane_too(tmp_path, name, method):
+def test_every_method_at_the_extremes_of_every_slice_has_finite_numbers_in_2d_too(tmp_path, name, method):
     case = load_case(write_case(tmp_path, **PLANAR))
     scene = ExtremeScene.from_mesh(case, PLATE)
     values = SLICES[name].list_values(scene)
     for value in (values[0], values[-1]):
         result = trial.run_trial(make_trial_settings(scene, name, value, method, steps=2, tolerance=0.05))
-        check(result)
+        assert_finite(result)
         assert result["outcome"] in trial.OUTCOMES
 
 
-def test_spin_of_a_linear_body_swells_as_the_law_says(tmp_path):
+def test_a_spinning_linear_body_swells_by_the_law(tmp_path):
     """J = 1 + (omega t)^2, with omega t = 4 steps of 2 rad."""
-    result = trial.run_trial(settings(tmp_path, "spin", 2.0, "linear backward_euler"))
+    result = trial.run_trial(make_settings(tmp_path, "spin", 2.0, "linear backward_euler"))
     assert result["worst_volume_ratio"] == pytest.approx(1 + 8.0**2, rel=1e-6)
 
 
-def test_a_run_that_blows_up_is_a_solve_error_with_its_message_and_what_stood_before_it(tmp_path):
-    asked = settings(tmp_path, "spin", 20.0, "gram_schmidt backward_euler")
-    asked["changes"]["schedule"]["frames"] = 60
-    result = trial.run_trial(asked)
-    check(result)
+def test_a_run_that_blows_up_is_a_solve_error_with_its_message_and_the_numbers_before_it(tmp_path):
+    trial_settings = make_settings(tmp_path, "spin", 20.0, "gram_schmidt backward_euler")
+    trial_settings["changes"]["schedule"]["frames"] = 60
+    result = trial.run_trial(trial_settings)
+    assert_finite(result)
     assert result["outcome"] == "solve_error" and "the step is unstable" in result["message"]
     assert 3 <= result["steps"] < 60 and result["energy_growth"] > 10
 
 
-def test_where_the_reference_fails_a_run_is_not_judged(tmp_path):
-    asked = settings(tmp_path, "dt", 0.1, "polar backward_euler")
-    asked["changes"]["method"] |= {"max_iterations": 1}
-    result = trial.run_trial(asked)
-    check(result)
+def test_a_run_without_a_reference_is_not_judged(tmp_path):
+    trial_settings = make_settings(tmp_path, "dt", 0.1, "polar backward_euler")
+    trial_settings["changes"]["method"] |= {"max_iterations": 1}
+    result = trial.run_trial(trial_settings)
+    assert_finite(result)
     assert result["outcome"] == "not_judged" and result["volume_error"] == 0.0
 
 
 def test_right_volumes_in_wrong_places_are_a_wrong_motion():
     course = trial.Course(BAR, is_held=True, x=[BAR.points], energy_growth=1.0)
-    for errors, growth, wanted in [
+    for errors, growth, expected in [
         ({"volume_error": 0.04, "node_distance": 0.04}, 1.0, "survives"),
         ({"volume_error": 0.04, "node_distance": 0.06}, 1.0, "wrong_motion"),
         ({"volume_error": 0.06, "node_distance": 0.06}, 1.0, "wrong_volume"),
@@ -143,16 +143,16 @@ def test_right_volumes_in_wrong_places_are_a_wrong_motion():
         ({}, 1.0, "not_judged"),
     ]:
         course.energy_growth = growth
-        assert trial._judge_outcome(course, errors, 0.05) == wanted
+        assert trial._judge_outcome(course, errors, 0.05) == expected
     course.message = "no"
     assert trial._judge_outcome(course, {}, 0.05) == "solve_error"
 
 
 def test_settings_are_plain_and_a_change_of_the_file_is_another_trial(tmp_path):
-    one = settings(tmp_path, "dt", 0.1, "auto bdf2")
-    assert json.loads(json.dumps(one)) == one
-    other = settings(tmp_path, "dt", 0.1, "auto bdf2", loads={"gravity": [0.0, 0.0, -1.0]})
-    assert one != other
+    trial_settings = make_settings(tmp_path, "dt", 0.1, "auto bdf2")
+    assert json.loads(json.dumps(trial_settings)) == trial_settings
+    other = make_settings(tmp_path, "dt", 0.1, "auto bdf2", loads={"gravity": [0.0, 0.0, -1.0]})
+    assert trial_settings != other
 
 
 # The whole study
@@ -173,11 +173,15 @@ def small(monkeypatch) -> None:
 
 def test_a_study_is_a_conventional_dataset_a_picture_and_lines(tmp_path, serial, small):
     case = load_case(write_case(tmp_path))
-    told = []
+    progress = []
     study = stability.study_stability(
-        case, tmp_path / "out", slices=("poisson_ratio", "dt"), steps=3, on_point=lambda *seen: told.append(seen[1:])
+        case,
+        tmp_path / "out",
+        slices=("poisson_ratio", "dt"),
+        steps=3,
+        on_point=lambda *seen: progress.append(seen[1:]),
     )
-    assert told[-1] == (57, 57)
+    assert progress[-1] == (57, 57)
     folder = tmp_path / "out" / "beam"
     assert sorted(p.name for p in folder.iterdir()) == ["points", "stability.nc", "stability.png", "summary.json"]
     with xarray.open_dataset(folder / "stability.nc") as dataset:
@@ -200,21 +204,21 @@ def test_a_study_is_a_conventional_dataset_a_picture_and_lines(tmp_path, serial,
     assert any("is above the limit of symplectic_euler" in message for message in summary["messages"])
 
 
-def test_the_picture_has_a_field_of_its_colour_for_every_trial(tmp_path, serial, small):
+def test_the_picture_has_a_field_of_the_right_color_for_every_trial(tmp_path, serial, small):
     from PIL import Image
 
     study = stability.study_stability(load_case(write_case(tmp_path)), tmp_path, slices=("dt",), steps=2)
     pixels = np.asarray(Image.open(study.files[1]).convert("RGB")).reshape(-1, 3)
-    for outcome, colour in (("survives", (0xB7, 0xE3, 0xD0)), ("refused", (0xF4, 0xF5, 0xF7))):
+    for outcome, color in (("survives", (0xB7, 0xE3, 0xD0)), ("refused", (0xF4, 0xF5, 0xF7))):
         fields = sum(row.count(outcome) for row in study.list_outcomes("dt"))
-        assert fields > 0 and (pixels == colour).all(axis=1).sum() > 300 * fields
+        assert fields > 0 and (pixels == color).all(axis=1).sum() > 300 * fields
 
 
-def test_a_fault_of_the_program_is_an_outcome_and_not_the_end(tmp_path, serial, small, monkeypatch):
-    def broken(asked):
+def test_a_fault_of_the_program_is_an_outcome_and_the_study_continues(tmp_path, serial, small, monkeypatch):
+    def raise_fault(settings):
         raise ZeroDivisionError("by zero")
 
-    monkeypatch.setattr("pipeline.studies.stability.study.run_trial", broken)
+    monkeypatch.setattr("pipeline.studies.stability.study.run_trial", raise_fault)
     study = stability.study_stability(load_case(write_case(tmp_path)), tmp_path, slices=("sliver",), steps=2)
     assert {r["outcome"] for r in study.results.values()} == {"unexpected_error"}
     assert all(r["message"] == "ZeroDivisionError: by zero" for r in study.results.values())
@@ -228,28 +232,28 @@ def test_a_fault_of_the_program_is_an_outcome_and_not_the_end(tmp_path, serial, 
         ({"tolerance": 1.0}, "tolerance: 1 is not between 0 and 1"),
     ],
 )
-def test_what_cannot_be_studied_is_refused_before_anything_is_written(tmp_path, keywords, words):
+def test_wrong_options_are_errors_before_anything_is_written(tmp_path, keywords, words):
     with pytest.raises(CaseError, match=words):
         stability.study_stability(load_case(write_case(tmp_path)), tmp_path / "out", **keywords)
     assert not (tmp_path / "out").exists()
 
 
-def test_the_command_prints_its_lines_and_goes_on_where_it_was(tmp_path, capsys, serial, small, monkeypatch):
+def test_the_command_prints_its_lines_and_resumes(tmp_path, capsys, serial, small, monkeypatch):
     path = write_case(tmp_path)
     command = ["study", "stability", str(path), "--out", str(tmp_path / "o"), "--slice", "sliver", "--steps", "2"]
     assert main([*command, "--quiet"]) == 0
     first = capsys.readouterr()
     assert first.out.count(" survives everything") == 3 and first.err.count("\n") <= 1
-    monkeypatch.setattr("pipeline.studies.stability.study.run_trial", None)  # nothing is left to be computed
+    monkeypatch.setattr("pipeline.studies.stability.study.run_trial", None)  # no point is left to compute
     assert main(command) == 0
     again = capsys.readouterr().out
     assert again.startswith(first.out) and "stability.nc" in again
 
 
-def test_the_command_names_a_wrong_slice_in_one_line_and_its_help_has_all(tmp_path, capsys):
+def test_the_command_names_a_wrong_slice_in_one_line_and_its_help_lists_all(tmp_path, capsys):
     assert main(["study", "stability", str(write_case(tmp_path)), "--slice", "speed"]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("CaseError: slice 'speed'") and said.count("\n") == 1
+    error = capsys.readouterr().err
+    assert error.startswith("CaseError: slice 'speed'") and error.count("\n") == 1
     with pytest.raises(SystemExit):
         main(["study", "stability", "--help"])
     words = capsys.readouterr().out.replace(",", " ").split()

@@ -1,4 +1,4 @@
-"""The report on the seeds: verdicts, the law of spurious volume, damping, and two files that stand alone."""
+"""The report on the seeds: verdicts, the law of spurious volume, damping, and two self-contained files."""
 
 import re
 from dataclasses import replace
@@ -51,7 +51,7 @@ def short(cases_folder, tmp_path_factory):
     return reproduce(cases_folder, out, scenes=("bar_as_printed", "bar"), frames=3, movie=False)
 
 
-def an_outcome(tmp_path, **values):
+def make_outcome(tmp_path, **values):
     whole = RunOutcome(
         status="finished", folder=tmp_path, nodes=81, cells=192, steps=100, dt=0.07, largest_ratio=2.0, cell=1,
         iteration=2, smallest_ratio=0.6, largest_volume=2.0, its_rest_volume=1.0, largest_rest_volume=1.0,
@@ -73,14 +73,14 @@ def an_outcome(tmp_path, **values):
         (float("nan"), float("nan"), "not reproduced: +nan % as printed, +nan % with factor 3.5"),
     ],
 )
-def test_a_verdict_prefers_what_is_printed_and_gives_its_reason(as_printed, calibrated, verdict):
+def test_a_verdict_prefers_the_printed_parameters_and_has_its_reason(as_printed, calibrated, verdict):
     assert judge(NUMBER, as_printed, calibrated, 3.5) == verdict
     remarked = judge(replace(NUMBER, remark="by design"), as_printed, calibrated, 3.5)
     assert remarked == f"{verdict} (by design)"
     assert find_kind(remarked) == find_kind(verdict) == re.sub(r" 3\.5|:.*", "", verdict)
 
 
-def test_times_of_another_machine_are_a_kind_of_their_own(short):
+def test_times_of_other_hardware_are_a_kind_of_their_own(short):
     verdicts = dict(short.report.verdicts)
     assert verdicts["bar, linear: seconds a step"].startswith("other hardware and software: ours is ")
     assert verdicts["mushroom, linear: seconds a step"] == "not reproduced: not run"
@@ -92,27 +92,27 @@ def test_times_of_another_machine_are_a_kind_of_their_own(short):
                    for what, text in short.report.verdicts)  # fmt: skip
 
 
-def test_an_iteration_is_not_judged_in_per_cent():
+def test_an_iteration_is_not_judged_in_percent():
     assert judge(replace(NUMBER, quantity="iteration"), 3.0, 17.0, 3.5) == (
         "not reproduced: 3 as printed, 17 with factor 3.5"
     )
 
 
-def test_a_number_is_found_in_both_twins_and_subtracted_where_it_is_a_difference(tmp_path):
+def test_a_number_is_read_from_both_scenes_and_a_difference_is_subtracted(tmp_path):
     scenes = {
         name: ThesisScene(
-            name, tmp_path, 3.0, "initial velocity", {"linear": an_outcome(tmp_path, largest_volume=volume)}
+            name, tmp_path, 3.0, "initial velocity", {"linear": make_outcome(tmp_path, largest_volume=volume)}
         )
         for name, volume in {"bar": 3.0, "bar_small": 1.0, "bar_as_printed": 1.5}.items()
     }
     found = judge_number(replace(NUMBER, less="bar_small"), scenes)
     assert (found.as_printed, found.calibrated) == (None, 2.0)
     assert found.verdict == "reproduced with factor 3"
-    failed = {"bar": replace(scenes["bar"], outcomes={"linear": an_outcome(tmp_path, status="failed")})}
+    failed = {"bar": replace(scenes["bar"], outcomes={"linear": make_outcome(tmp_path, status="failed")})}
     assert judge_number(NUMBER, failed).verdict == "not reproduced: not run"
 
 
-def test_what_is_published_refers_to_what_there_is():
+def test_published_data_refer_to_existing_scenes_tests_and_fields():
     assert {n.scene for n in NUMBERS} | {t.scene for t in TIMINGS} | {f.scene for f in FIGURES} == set(SCENES)
     assert {row.test for row in CORRECTIONS} - {""} == set(CORRECTION_TESTS)
     assert {s.test for s in STATEMENTS} == set(STATEMENT_TESTS)
@@ -143,7 +143,7 @@ def test_a_homogeneous_rotation_obeys_the_law_exactly(axis, dt):
             assert growth.ratio == pytest.approx(1 + (np.linalg.norm(omega) * dt * state.step) ** 2, rel=1e-9)
 
 
-def test_a_band_takes_what_turned_far_enough():
+def test_a_band_has_the_cells_that_turned_far_enough():
     turned = np.radians([5.0, 20.0, 40.0, 60.0])
     growth = Growth(turned, np.array([9.0, 1.0, 1.0, 1.0]) / np.cos(turned) ** 2)
     found = make_band(growth, 10.0)
@@ -174,7 +174,7 @@ def test_the_report_has_every_section_and_row(short):
     assert short.exit_code == 0
 
 
-def test_the_page_stands_alone(short):
+def test_the_page_is_self_contained(short):
     page = short.html.read_text(encoding="utf-8")
     assert page.startswith("<!doctype html>") and page.rstrip().endswith("</html>")
     without_pictures = re.sub(r"base64,[A-Za-z0-9+/=]+", "", page)
@@ -186,13 +186,13 @@ def test_the_page_stands_alone(short):
     assert tags[::2] == tags[1::2]
 
 
-def test_the_markdown_links_pictures_that_are_there(short):
+def test_the_pictures_of_the_markdown_exist(short):
     links = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", short.markdown.read_text(encoding="utf-8"))
     assert len(links) >= 4
     assert all((short.markdown.parent / link).stat().st_size > 5000 for link in links)
 
 
-def test_what_is_up_to_date_is_not_solved_again(short, cases_folder):
+def test_up_to_date_scenes_are_not_solved_again(short, cases_folder):
     again = []
     second = reproduce(
         cases_folder, short.html.parent, scenes=("bar_as_printed", "bar"), frames=3, movie=False,
@@ -207,7 +207,7 @@ def test_the_states_that_the_thesis_shows_are_drawn(short):
     assert (short.html.parent / "reproduction" / "states_bar.png").stat().st_size > 20_000
 
 
-def test_nothing_run_is_said_and_not_hidden(bar, tmp_path):
+def test_scenes_that_were_not_run_are_named(bar, tmp_path):
     report = make_report({}, bar, tmp_path)
     # the stability of a free spin needs no scene, and neither do corrections and damping
     assert report.count_verdicts("not reproduced") == len(report.verdicts)
@@ -223,21 +223,21 @@ def test_texts_are_escaped(tmp_path):
     assert r"a\|b" in render_markdown(blocks, tmp_path)
 
 
-def test_a_picture_that_is_gone_is_an_output_error(tmp_path):
+def test_a_missing_picture_is_an_output_error(tmp_path):
     with pytest.raises(OutputError, match=r"gone\.png"):
         render_html([Heading("t", 1), Picture(tmp_path / "gone.png", "gone")])
 
 
-def test_the_verb_passes_its_options_on(monkeypatch, tmp_path, short, capsys):
-    asked = {}
+def test_the_command_passes_its_options_on(monkeypatch, tmp_path, short, capsys):
+    passed = {}
 
     def stand_in(cases, out, **options):
-        asked.update(cases=cases, out=out, force=options["force"])
+        passed.update(cases=cases, out=out, force=options["force"])
         return short
 
     monkeypatch.setattr(reproduction, "reproduce", stand_in)
     assert cli.main(["reproduce", "--cases", "elsewhere", "--out", str(tmp_path), "--force"]) == 0
-    assert (str(asked["cases"]), asked["out"], asked["force"]) == ("elsewhere", tmp_path, True)
+    assert (str(passed["cases"]), passed["out"], passed["force"]) == ("elsewhere", tmp_path, True)
     out = capsys.readouterr().out
     assert "not reproduced" in out and "reproduction.html" in out
 
@@ -248,7 +248,7 @@ def test_every_scene_of_the_seeds_has_its_case_and_four_methods(cases_folder):
         assert name == "beam2d" or names == ("linear", "gram_schmidt", "polar", "converged")
 
 
-def test_the_gallery_and_the_theory_know_every_case_and_correction(project_root, cases_folder):
+def test_the_gallery_has_every_case(project_root, cases_folder):
     gallery = (project_root / "docs" / "gallery" / "README.md").read_text(encoding="utf-8")
     for name in ALL_SCENES:
         assert f"({name}.png)" in gallery

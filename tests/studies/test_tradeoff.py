@@ -54,12 +54,12 @@ def here():
     """No dask.distributed: every point runs in this process; tests/studies/test_sweep.py has the cluster."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweep_module, "find_spec", lambda name: None)
-        patch.setattr("pipeline.studies.tradeoff.motion._LEAST_SECONDS", 0.0)  # nothing here is told by its seconds
+        patch.setattr("pipeline.studies.tradeoff.motion._LEAST_SECONDS", 0.0)  # no test depends on seconds
         patch.setattr("pipeline.studies.tradeoff.motion._PAIRS", 1)
         yield
 
 
-def plan_of(folder, *, sections=None, **keywords):
+def make_small_plan(folder, *, sections=None, **keywords):
     case = load_case(write_case(folder, **(sections or {})))
     return make_plan(case, **{"tolerance": 0.01, "quick": True, **keywords})
 
@@ -68,15 +68,15 @@ def plan_of(folder, *, sections=None, **keywords):
 def study(tmp_path_factory):
     """The quick study of a soft beam of 18 tetrahedra, with one finer mesh."""
     folder = tmp_path_factory.mktemp("study")
-    plan = plan_of(folder, refinements=[1, 2], tolerance=0.02)
+    plan = make_small_plan(folder, refinements=[1, 2], tolerance=0.02)
     return plan, study_tradeoff(plan, folder / "out", repeats=1)
 
 
 # settings
 
 
-def test_settings_are_slices_that_allow_auto_beside_every_fixed_one(tmp_path):
-    plan = plan_of(tmp_path, quick=False)
+def test_every_stepper_and_step_has_every_model(tmp_path):
+    plan = make_small_plan(tmp_path, quick=False)
     assert plan.dts == (0.04, 0.02, 0.01, 0.005, 0.0025) and plan.dt == 0.02 and plan.refinements == (1, 2)
     assert plan.interval == 0.04 and plan.frames == 2
     assert len({setting.key for setting in plan.settings}) == len(plan.settings)
@@ -93,8 +93,8 @@ def test_settings_are_slices_that_allow_auto_beside_every_fixed_one(tmp_path):
     assert plan.case_setting == Setting(1, "consistent", "backward_euler", 0.02, "corotational", "polar", "1")
 
 
-def test_every_setting_is_a_case_seen_at_the_same_instants(tmp_path):
-    plan = plan_of(tmp_path, refinements=[1, 2])
+def test_every_setting_is_a_case_with_frames_at_the_same_instants(tmp_path):
+    plan = make_small_plan(tmp_path, refinements=[1, 2])
     for setting in plan.settings:
         case = make_point_case(plan, setting)
         schedule = case.schedule
@@ -104,15 +104,15 @@ def test_every_setting_is_a_case_seen_at_the_same_instants(tmp_path):
         build(case)  # explicit steps below their limit, names that go together
 
 
-def test_an_explicit_case_gives_implicit_steps_its_frames(tmp_path):
+def test_implicit_steps_for_an_explicit_case_are_its_frame_interval(tmp_path):
     schedule = {"dt": 1e-4, "steps_per_frame": 100, "frames": 8}
     method = {"stepper": "symplectic_euler", "mass": "lumped"}
-    plan = plan_of(tmp_path, sections={"schedule": schedule, "method": method, **PLANAR})
+    plan = make_small_plan(tmp_path, sections={"schedule": schedule, "method": method, **PLANAR})
     assert plan.dt == 0.01 and plan.case_setting.stepper == "bdf2" and plan.case_setting.mass == "lumped"
 
 
-def test_a_long_run_is_seen_at_fifty_instants_at_most(tmp_path):
-    plan = plan_of(tmp_path, sections={"schedule": {"dt": 0.02, "frames": 1001}})
+def test_a_long_run_is_compared_at_fifty_instants_at_most(tmp_path):
+    plan = make_small_plan(tmp_path, sections={"schedule": {"dt": 0.02, "frames": 1001}})
     assert plan.frames <= 50 and plan.interval == pytest.approx(0.02 * 21)
 
 
@@ -127,20 +127,20 @@ def test_a_long_run_is_seen_at_fifty_instants_at_most(tmp_path):
         ({"steps": 0}, "shorter than"),
     ],
 )
-def test_steps_and_refinements_that_do_not_fit_are_refused(tmp_path, keywords, message):
+def test_steps_and_refinements_that_do_not_fit_are_errors(tmp_path, keywords, message):
     with pytest.raises(CaseError, match=message):
-        plan_of(tmp_path, **keywords)
+        make_small_plan(tmp_path, **keywords)
 
 
-def test_meshes_that_cannot_be_refined_say_so(tmp_path, cases_folder):
-    by_node = plan_of(tmp_path, sections={"supports": [{"nodes": [0, 1, 2, 3]}]}, refinements=[1, 2])
+def test_a_mesh_that_cannot_be_refined_has_a_note(tmp_path, cases_folder):
+    by_node = make_small_plan(tmp_path, sections={"supports": [{"nodes": [0, 1, 2, 3]}]}, refinements=[1, 2])
     organic = make_plan(load_case(cases_folder / "mushroom.toml"), tolerance=0.01, refinements=[2])
     for plan, reason in ((by_node, "names nodes"), (organic, "mesh is a file")):
         assert plan.refinements == (1,) and reason in plan.notes[0] and "mesh error not available" in plan.notes[0]
 
 
 @pytest.mark.parametrize(("shape", "size", "cells"), [(box, (1, 3, 2), (1, 3, 2)), (rectangle, (2, 1), (3, 2))])
-def test_nested_nodes_lie_where_the_coarse_ones_do(shape, size, cells):
+def test_coarse_nodes_have_the_same_places_in_the_fine_mesh(shape, size, cells):
     coarse, fine = shape(size, cells), shape(size, [3 * c for c in cells])
     np.testing.assert_allclose(fine.points[find_coarse_nodes(cells, 3)], coarse.points, atol=1e-14)
 
@@ -148,29 +148,29 @@ def test_nested_nodes_lie_where_the_coarse_ones_do(shape, size, cells):
 # deviations
 
 
-def motion_of(mesh, u, v=None, energy=1.0):
+def make_motion(mesh, u, v=None, energy=1.0):
     level = np.full(len(u), energy)
     return RecordedMotion(mesh, u, np.zeros_like(u) if v is None else v, level, level)
 
 
 def test_deviations_of_known_motions():
     mesh = box((1.0, 2.0, 2.0), (1, 2, 2))  # its size is 3
-    still = motion_of(mesh, np.zeros((2, *mesh.points.shape)))
+    still = make_motion(mesh, np.zeros((2, *mesh.points.shape)))
     moved = still.u.copy()
     moved[1] += [0.0, 0.3, 0.0]
-    found = measure_deviation(motion_of(mesh, moved, energy=1.5), still, None)
+    found = measure_deviation(make_motion(mesh, moved, energy=1.5), still, None)
     assert found["worst_distance"] == pytest.approx(0.1) and found["rms_distance"] == pytest.approx(0.1 / 2**0.5)
     assert found["volume"] < 1e-12 and found["drift"] < 1e-12 and found["energy"] == pytest.approx(0.5)
-    grown = motion_of(mesh, np.stack([0 * mesh.points, 0.1 * mesh.points]))
+    grown = make_motion(mesh, np.stack([0 * mesh.points, 0.1 * mesh.points]))
     found = measure_deviation(grown, still, None)
     assert found["volume"] == pytest.approx(1.1**3 - 1) and found["drift"] == pytest.approx(1.1**3 - 1)
     assert combine_error(found) == pytest.approx(0.5 * (1.1**3 - 1)) and np.isnan(found["mode_phase"])
     some = np.array([0, 5])
-    assert measure_distances(motion_of(mesh, moved), still, np.arange(len(mesh.points)))[
+    assert measure_distances(make_motion(mesh, moved), still, np.arange(len(mesh.points)))[
         "worst_distance"
     ] == pytest.approx(0.1)
     with pytest.raises(ValueError):
-        measure_distances(motion_of(mesh, moved), still, some)
+        measure_distances(make_motion(mesh, moved), still, some)
 
 
 def test_amplitude_and_phase_of_the_first_mode():
@@ -186,21 +186,21 @@ def test_amplitude_and_phase_of_the_first_mode():
     def swinging(size, late):
         angle = mode.omega * t - late
         u, v = size * np.cos(angle), -size * mode.omega * np.sin(angle)
-        return motion_of(body.mesh, u[:, None, None] * shape, v[:, None, None] * shape)
+        return make_motion(body.mesh, u[:, None, None] * shape, v[:, None, None] * shape)
 
     found = measure_deviation(swinging(0.9, np.radians(5)), swinging(1.0, 0.0), mode)
     assert found["mode_amplitude"] == pytest.approx(0.1) and found["mode_phase"] == pytest.approx(5.0)
 
 
-def test_motions_survive_their_text():
+def test_motions_survive_packing():
     values = np.random.default_rng(0).standard_normal((3, 4, 2)) * 1e-3
     np.testing.assert_allclose(unpack_array(pack_array(values), (3, 4, 2)), values, rtol=1e-7)
 
 
-def test_a_run_in_memory_is_the_run(tmp_path):
+def test_a_run_in_memory_equals_the_frames(tmp_path):
     from pipeline.run.frame_iterator import frames
 
-    plan = plan_of(tmp_path)
+    plan = make_small_plan(tmp_path)
     case = make_point_case(plan, plan.case_setting)
     result = run_motion(json.loads(json.dumps(make_task_settings(case, 2))))
     problem = build(case)
@@ -213,14 +213,14 @@ def test_a_run_in_memory_is_the_run(tmp_path):
     )
 
 
-def test_what_leaves_the_scene_is_an_error(tmp_path):
-    plan = plan_of(tmp_path, sections={"supports": None, "initial": {"velocity": [0.0, 0.0, 1e6]}})
+def test_a_body_that_leaves_the_scene_is_an_error(tmp_path):
+    plan = make_small_plan(tmp_path, sections={"supports": None, "initial": {"velocity": [0.0, 0.0, 1e6]}})
     with pytest.raises(SolveError, match="times its size"):
         run_motion(make_task_settings(make_point_case(plan, plan.case_setting), 1))
 
 
 def test_a_race_of_a_case_with_itself(tmp_path):
-    plan = plan_of(tmp_path)
+    plan = make_small_plan(tmp_path)
     settings = make_task_settings(make_point_case(plan, plan.case_setting), 1)
     found = run_race(settings | {"rival": settings["case"]})
     assert found["ratio"] > 0 and found["pairs"] == 1
@@ -229,7 +229,7 @@ def test_a_race_of_a_case_with_itself(tmp_path):
 # verdicts
 
 
-def row(seconds, worst, volume=0.0, *, model=LINEAR, dt=0.1, model_volume=0.0):
+def make_row(seconds, worst, volume=0.0, *, model=LINEAR, dt=0.1, model_volume=0.0):
     costs = {
         "seconds": seconds,
         "newton_iterations": 1.0,
@@ -241,8 +241,8 @@ def row(seconds, worst, volume=0.0, *, model=LINEAR, dt=0.1, model_volume=0.0):
     return SettingRow(setting, costs, found | {"model_volume": model_volume})
 
 
-def test_the_front_is_what_no_other_beats():
-    rows = [row(1, 0.5), row(2, 0.1), row(2.5, 0.2), row(3, 0.1), row(4, 0.0, volume=0.04)]
+def test_the_front_has_the_rows_that_no_other_beats():
+    rows = [make_row(1, 0.5), make_row(2, 0.1), make_row(2.5, 0.2), make_row(3, 0.1), make_row(4, 0.0, volume=0.04)]
     assert find_front([*rows, SettingRow(rows[0].setting, failure="SolveError")]) == [rows[0], rows[1], rows[4]]
     assert (
         find_cheapest(rows, 0.1) is rows[1]
@@ -251,55 +251,59 @@ def test_the_front_is_what_no_other_beats():
     )
 
 
-def test_of_what_costs_the_same_but_for_the_clock_the_most_accurate_is_named():
-    rows = [row(1.0, 0.5), row(1.05, 0.1), row(1.08, 0.3), row(1.2, 0.0)]
+def test_the_most_accurate_of_equally_fast_settings_is_chosen():
+    rows = [make_row(1.0, 0.5), make_row(1.05, 0.1), make_row(1.08, 0.3), make_row(1.2, 0.0)]
     assert find_cheapest(rows, 0.5) is rows[1] and find_cheapest(rows[2:], 0.5) is rows[2]
-    by_axes = row(1.0, 0.05, model=("corotational", "gram_schmidt", "1"))
+    by_axes = make_row(1.0, 0.05, model=("corotational", "gram_schmidt", "1"))
     assert find_cheapest([by_axes, *rows], 0.5) is rows[1] and find_cheapest([by_axes], 0.5) is by_axes
 
 
-def test_auto_is_set_against_the_cheapest_that_meets_its_tolerance():
+def test_auto_is_compared_with_the_cheapest_setting_of_its_tolerance():
     rows = [
-        row(1, 0.0, model_volume=0.05),
-        row(2, 0.0, model=("corotational", "polar", "1"), model_volume=0.01),
-        row(3, 0.0, model=CONVERGED),
-        row(2.2, 0.0, model=AUTO, model_volume=0.015),
-        row(1.5, 0.0, model=CONVERGED, dt=0.2),
+        make_row(1, 0.0, model_volume=0.05),
+        make_row(2, 0.0, model=("corotational", "polar", "1"), model_volume=0.01),
+        make_row(3, 0.0, model=CONVERGED),
+        make_row(2.2, 0.0, model=AUTO, model_volume=0.015),
+        make_row(1.5, 0.0, model=CONVERGED, dt=0.2),
     ]
     (found,) = judge_auto(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
     assert found.rival == rows[1].setting and found.ratio == pytest.approx(1.1) and found.is_within
-    rows[1] = row(2, 0.0, model=("corotational", "polar", "1"), model_volume=0.012)  # twice the tolerance is not it
-    rows[3] = row(2.2, 0.0, model=AUTO, model_volume=0.009)
+    rows[1] = make_row(
+        2, 0.0, model=("corotational", "polar", "1"), model_volume=0.012
+    )  # twice the tolerance is not it
+    rows[3] = make_row(2.2, 0.0, model=AUTO, model_volume=0.009)
     (found,) = judge_auto(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))
     assert found.rival == rows[2].setting
-    rows[3] = row(2.2, 0.0, model=AUTO, model_volume=0.021)
+    rows[3] = make_row(2.2, 0.0, model=AUTO, model_volume=0.021)
     assert not judge_auto(SimpleNamespace(rows=rows, plan=SimpleNamespace(tolerance=0.01)))[0].is_within
 
 
-def test_the_sentence_tells_no_more_than_the_reference_is_good_for():
-    rows = [row(1, 0.005), row(3, 0.0005, dt=0.05)]
+def test_the_sentence_respects_the_accuracy_of_the_reference():
+    rows = [make_row(1, 0.005), make_row(3, 0.0005, dt=0.05)]
     plan = SimpleNamespace(
         tolerance=0.01, refinements=(1,), case=SimpleNamespace(name="scene"), make_reference=lambda r: None
     )
 
-    def said(sure, rows=rows, mesh=float("nan")):
+    def describe(sure, rows=rows, mesh=float("nan")):
         reference = SimpleNamespace(time=sure)
         table = SimpleNamespace(
             plan=plan, rows=rows, find_mesh_error=lambda r: mesh, estimate_reference_errors=lambda: reference
         )
         return describe_choice(table)
 
-    assert said(1e-4).startswith("scene: for 1 % use bdf2, the linear law, consistent mass, dt = 0.1 s: 100 ms a step")
-    assert "0.1 % costs 3 times as much" in said(1e-4) and "reference" not in said(1e-4)
-    assert "0.1 % was not reached (0.5 % by" in said(1e-4, rows[:1])
-    assert "0.1 % is below the accuracy of the reference; the reference itself has an error of 2 %" in said(0.02)
-    assert said(1e-4, [row(1, 0.05)]).startswith("scene: no setting that was run reaches 1 % (5 % by bdf2")
-    assert said(1e-4, mesh=0.3).endswith("the mesh itself differs by 30 % from cells x 1")
+    assert describe(1e-4).startswith(
+        "scene: for 1 % use bdf2, the linear law, consistent mass, dt = 0.1 s: 100 ms a step"
+    )
+    assert "0.1 % costs 3 times as much" in describe(1e-4) and "reference" not in describe(1e-4)
+    assert "0.1 % was not reached (0.5 % by" in describe(1e-4, rows[:1])
+    assert "0.1 % is below the accuracy of the reference; the reference itself has an error of 2 %" in describe(0.02)
+    assert describe(1e-4, [make_row(1, 0.05)]).startswith("scene: no setting that was run reaches 1 % (5 % by bdf2")
+    assert describe(1e-4, mesh=0.3).endswith("the mesh itself differs by 30 % from cells x 1")
 
 
 @pytest.mark.parametrize("stepper", ["backward_euler", "bdf2"])
-def test_steps_a_period_are_those_of_the_formula(tmp_path, stepper):
-    plan = plan_of(tmp_path)
+def test_steps_per_period_agree_with_the_formula(tmp_path, stepper):
+    plan = make_small_plan(tmp_path)
     case = make_point_case(plan, Setting(1, "consistent", stepper, 0.02, *LINEAR))
     found = find_steps_per_period(make_task_settings(case, 1) | {"tolerance": 0.02})
     n = np.arange(1, 3000)
@@ -316,7 +320,7 @@ def test_steps_a_period_are_those_of_the_formula(tmp_path, stepper):
 
 
 @pytest.mark.slow
-def test_the_study_stands_as_files(study):
+def test_the_study_is_written_to_files(study):
     plan, found = study
     with xarray.open_dataset(found.folder / "tradeoff.nc") as dataset:
         assert_conventional(dataset)
@@ -337,7 +341,7 @@ def test_the_study_stands_as_files(study):
 
 
 @pytest.mark.slow
-def test_the_reference_is_better_than_what_it_judges(study):
+def test_the_reference_is_more_accurate_than_the_rows(study):
     _, found = study
     own = found.summary["reference"]
     assert 0 < own["time"] < 5e-3 and 0.5 < own["order"] < 2.5
@@ -347,24 +351,24 @@ def test_the_reference_is_better_than_what_it_judges(study):
     assert 0 < own["mesh"] == pytest.approx(parts["mesh"] / 3)
 
 
-def seconds_of(row) -> float:
+def read_seconds(row) -> float:
     return row["costs"]["seconds"]
 
 
 @pytest.mark.slow
-def test_the_sentence_names_a_setting_that_is_enough(study):
+def test_the_sentence_names_a_setting_within_the_tolerance(study):
     plan, found = study
     choice = found.summary["choice"]
     assert choice["error"] <= plan.tolerance and choice["text"] in found.sentence
     assert found.sentence.startswith("beam: for 2 % use ") and "0.2 %" in found.sentence
     # the front holds the cheapest that is enough; the choice may cost a tenth more where it is more accurate
-    least = min((one for one in found.summary["front"] if one["error"] <= plan.tolerance), key=seconds_of)
-    assert seconds_of(least) <= seconds_of(choice) <= 1.1 * seconds_of(least)
+    least = min((one for one in found.summary["front"] if one["error"] <= plan.tolerance), key=read_seconds)
+    assert read_seconds(least) <= read_seconds(choice) <= 1.1 * read_seconds(least)
     assert choice["error"] <= least["error"] or least["setting"]["rotation"] == "gram_schmidt"
 
 
 @pytest.mark.slow
-def test_a_study_that_stands_is_not_run_again(study, monkeypatch):
+def test_a_finished_study_is_not_run_again(study, monkeypatch):
     plan, found = study
     monkeypatch.setattr("pipeline.studies.tradeoff.study.run_motion", lambda settings: pytest.fail("run again"))
     again = study_tradeoff(plan, found.folder, repeats=1)
@@ -372,7 +376,7 @@ def test_a_study_that_stands_is_not_run_again(study, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_reference_that_fails_is_an_error_and_other_failures_are_told(study):
+def test_a_failed_reference_is_an_error_and_other_failures_are_rows(study):
     plan, found = study
     results = {s.key: json.loads((found.folder / f"points/{s.key}.json").read_text())["result"] for s in plan.settings}
     broken = plan.settings[7].key
@@ -389,7 +393,7 @@ def test_a_reference_that_fails_is_an_error_and_other_failures_are_told(study):
 CHOSEN = Setting(1, "lumped", "bdf2", 0.01, *AUTO)
 
 
-def test_the_choice_becomes_a_variant_and_the_rest_of_the_file_stays(tmp_path):
+def test_the_choice_becomes_a_variant_and_the_rest_of_the_file_is_kept(tmp_path):
     path = write_case(tmp_path)
     plan = make_plan(load_case(path), tolerance=0.01, quick=True, steps=2)
     assert plan.frames == 2
@@ -412,15 +416,15 @@ def test_the_choice_becomes_a_variant_and_the_rest_of_the_file_stays(tmp_path):
 
 
 def test_a_case_without_variants_keeps_its_default(tmp_path):
-    plan = plan_of(tmp_path, sections={"variants": None})
+    plan = make_small_plan(tmp_path, sections={"variants": None})
     write_chosen_variant(plan, CHOSEN, "why")
     assert load_case(plan.case.path).variant_names == ("default", "adequate")
     write_chosen_variant(plan, CHOSEN, "why not")
     assert load_case(plan.case.path).variant_names == ("default", "adequate")
 
 
-def test_a_file_that_cannot_take_the_variant_is_left_alone(tmp_path):
-    own = plan_of(tmp_path, sections={"variants": {"adequate": {}}})
+def test_a_file_that_cannot_have_the_variant_is_unchanged(tmp_path):
+    own = make_small_plan(tmp_path, sections={"variants": {"adequate": {}}})
     inline = load_case(write_case(tmp_path, "inline.toml", variants=None))
     inline.path.write_text(f"variants = {{polar = {{}}}}\n{inline.path.read_text()}")
     for plan, message in ((own, "exists already"), (make_plan(inline, tolerance=0.1), "cannot be appended")):
@@ -464,8 +468,8 @@ def test_the_command_prints_the_sentence_and_writes_the_variant(tmp_path, capsys
 def test_wrong_input_is_one_line_and_exit_code_2(tmp_path, capsys, arguments, message):
     path = write_case(tmp_path)
     assert main(["study", "tradeoff", str(path), "--quiet", "--out", str(tmp_path / "o"), *arguments]) == 2
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1 and message in said[0]
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and message in lines[0]
 
 
 def test_two_cases_of_one_name_are_refused(tmp_path, capsys):
@@ -488,8 +492,8 @@ def test_a_case_without_a_reference_does_not_stop_the_others(tmp_path, capsys, m
     for path in paths:
         path.write_text(tomli_w.dumps(case_document(name=path.stem)))
     assert main(["study", "tradeoff", *map(str, paths), "--out", str(tmp_path / "o")]) == 3
-    said = capsys.readouterr()
-    assert said.out.startswith("good: use this") and said.err == "SolveError: no reference\n"
+    captured = capsys.readouterr()
+    assert captured.out.startswith("good: use this") and captured.err == "SolveError: no reference\n"
 
 
 def test_an_interrupted_study_says_how_to_continue(tmp_path, capsys, monkeypatch):
@@ -502,7 +506,7 @@ def test_an_interrupted_study_says_how_to_continue(tmp_path, capsys, monkeypatch
     assert capsys.readouterr().err == "interrupted; the same command continues from the points that are done\n"
 
 
-def test_a_missing_case_and_an_unknown_study_are_told(tmp_path, capsys):
+def test_a_missing_case_and_an_unknown_study_are_errors(tmp_path, capsys):
     assert main(["study", "tradeoff", str(tmp_path / "none.toml")]) == 2
     assert "no such file" in capsys.readouterr().err
     with pytest.raises(SystemExit) as raised:

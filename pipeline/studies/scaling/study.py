@@ -21,6 +21,7 @@ import numpy as np
 from pipeline.case import Case
 from pipeline.errors import CaseError, SolveError, quote_value
 from pipeline.formats.atomic import write_whole
+from pipeline.studies.coverage import list_left_out
 from pipeline.studies.scaling.cost_figure import write_cost_figure
 from pipeline.studies.scaling.cost_table import format_costs
 from pipeline.studies.scaling.point import measure_in_process
@@ -45,8 +46,9 @@ class Scaling:
     files: tuple[Path, ...]
 
     def format_lines(self) -> list[str]:
-        """Return the table, a line for each point."""
-        return format_costs(self.rows, self.rivals)
+        """Return the table, a line for each point, and the rows of the method tables that are not measured."""
+        methods = [{key.removeprefix("method."): value for key, value in keys.items()} for keys in METHODS.values()]
+        return [*format_costs(self.rows, self.rivals), f"not measured: {', '.join(list_left_out(methods))}"]
 
 
 def parse_cells(text: str) -> list[int]:
