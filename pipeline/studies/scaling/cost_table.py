@@ -23,10 +23,11 @@ def _format_row(row: CostRow) -> str:
     peak = f"{row['peak_MB']:9.0f}" if row["peak_MB"] else f"{'':9}"
     baseline = row["baseline_ms"]
     ratio = f"{baseline:10.2f} ({baseline / row['ms']:.1f} x)" if baseline else ""
-    return (
+    line = (
         f"{row['method']:<10} {row['tets']:8d} {row['ms']:11.3f} {row['ns_per_tet']:10.0f} "
         f"{row['linear_iterations']:12g} {row['setup_s']:10.3f} {peak} {row['bound_ms']:10.3f}   {ratio}"
     )
+    return line.rstrip()
 
 
 def _format_failure(row: CostRow) -> str:
