@@ -55,7 +55,7 @@ def add_verbs(verbs: Any, shared: SharedOptions) -> None:
 
 
 def _add_result_options(parser: argparse.ArgumentParser, unit: str) -> None:
-    """Add the folder of results, and what happens to earlier ones in it."""
+    """Add the options for the folder of results and for earlier results in it."""
     parser.add_argument("--out", type=Path, default=Path(find_default(run_case, "out")), metavar="DIR",
                         help="folder for results (%(default)s)")  # fmt: skip
     earlier = parser.add_mutually_exclusive_group()
@@ -120,7 +120,7 @@ def _print_summary(result: CaseResult) -> None:
             print(f"{v.name:<14} {v.status}")
     print(f"results in {result.folder}" + "".join(f"\n  {path.name}" for path in result.files))
     for v in result.variants:
-        print(f"  {v.name}/series.pvd")
+        print(f"  {v.index.relative_to(result.folder)}")
 
 
 def _check(options: argparse.Namespace) -> int:

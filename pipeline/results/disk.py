@@ -8,14 +8,14 @@ from pipeline.case.keys import OutputSpec
 from pipeline.errors import OutputError
 from pipeline.problem.problem import Problem
 from pipeline.run.measures import QUANTILES
+from pipeline.sinks.netcdf import CHUNK_FRAMES
 
 # Fitted to eight scenes of 64 to 10 000 cells: the estimate is 0.88 to 1.68 of their size. Numbers of a motion hardly
 # compress: zlib at its best level and base64 give 1.27 of their size. Cells and regular rest points compress well.
 _FRAME_BYTES, _FRAME_CELL_BYTES = 6500, 7
 _ENCODED_SHARE = {"vtu": 1.27, "vtkhdf": 1.0}
 _VALUE_BYTES = {"float64": 8, "float32": 4}
-_NUMBERS_PER_FRAME = 36 + len(QUANTILES)  # per body, in statistics.nc, in chunks of 256 frames
-_CHUNK = 256
+_NUMBERS_PER_FRAME = 36 + len(QUANTILES)  # per body, in statistics.nc
 _DATASET_BYTES = 20_000
 _MARGIN = 1.1
 
@@ -27,8 +27,8 @@ def estimate_bytes(problem: Problem, output: OutputSpec) -> float:
     # position, displacement and velocity per node; volume, volume ratio and rotation angle per cell
     numbers = 3 * (d * n + e) * _VALUE_BYTES[output.precision] * _ENCODED_SHARE[output.format]
     frame = _FRAME_BYTES + numbers + _FRAME_CELL_BYTES * e
-    chunks = -(-count // _CHUNK) * _CHUNK
-    dataset = _DATASET_BYTES + 16 * e * count + 8 * _NUMBERS_PER_FRAME * chunks
+    chunked = -(-count // CHUNK_FRAMES) * CHUNK_FRAMES
+    dataset = _DATASET_BYTES + 16 * e * count + 8 * _NUMBERS_PER_FRAME * chunked
     return count * frame + 2 * dataset
 
 

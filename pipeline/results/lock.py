@@ -10,8 +10,8 @@ from pathlib import Path
 from pipeline.errors import CaseError, OutputError
 
 LOCK = ".lock"
-_PATIENCE = 2.0  # [s] the writer process outlives a killed run by a moment
-_STREAMS = 2  # number of the last standard stream: a child process has its own streams there
+_WAIT_SECONDS = 2.0  # the writer process outlives a killed run by a moment
+_LAST_STREAM = 2  # a child process has its own standard streams in these descriptors
 
 
 @contextmanager
@@ -37,7 +37,7 @@ def lock_folder(folder: Path) -> Iterator[int]:
 
 def _acquire(path: Path) -> int:
     """Return the descriptor of the locked lock file; waits a moment for the current holder to end."""
-    deadline = time.monotonic() + _PATIENCE
+    deadline = time.monotonic() + _WAIT_SECONDS
     while True:
         descriptor = _open_lock_file(path)
         try:
@@ -52,6 +52,7 @@ def _acquire(path: Path) -> int:
 
 
 def _open_lock_file(path: Path) -> int:
+    """Return a descriptor of the lock file above those of the standard streams; raises OutputError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor, low = os.open(path, os.O_RDWR | os.O_CREAT, 0o644), []
@@ -59,7 +60,7 @@ def _open_lock_file(path: Path) -> int:
         raise OutputError(f"{path}: part of this path is a file, not a folder") from error
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
-    while descriptor <= _STREAMS:
+    while descriptor <= _LAST_STREAM:
         low.append(descriptor)
         descriptor = os.dup(descriptor)
     for number in low:

@@ -1,4 +1,4 @@
-"""Solves one variant and records it in its folder, from the start or a checkpoint; run.json has the outcome."""
+"""The run of one variant: solved from the start or a checkpoint, recorded in its folder; run.json has the outcome."""
 
 import json
 import os
@@ -38,7 +38,7 @@ Notify = Callable[[str, Problem, Frame, RunSummary], None]
 UNFINISHED = ("running", "interrupted")
 _COUNTS = ("steps", "solves", "iterations", "linear_iterations", "factorizations", "rotations")
 _ROUNDED = "output.precision = 'float32': statistics.nc cannot be rebuilt from the frames, which are rounded"
-# whose version can change a digit of the results or a byte of the files
+# packages whose version can change a digit of the results or a byte of the files
 _PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
 
 
@@ -53,6 +53,11 @@ class VariantResult:
 
     def __repr__(self) -> str:
         return f"<VariantResult {self.name}: {self.status}, in {self.folder}>"
+
+    @property
+    def index(self) -> Path:
+        """Return the file that lists the frames, for ParaView and read_series."""
+        return self.folder / FORMATS[self.run["case"]["output"]["format"]].index
 
 
 def read_run(folder: str | os.PathLike[str]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame, Values
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES, make_attributes
 
-_CHUNK = 256  # frames; the default of one would make a chunk, and its index entry, of every number
+CHUNK_FRAMES = 256  # the default of one would make a chunk, and its index entry, of every number
 _CELLS_CHUNK = 2048  # values of cells, if a frame has fewer: the index of chunks is kept in memory
 
 
@@ -94,17 +94,17 @@ def _create(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
     steps = [name for name in STEPS if name in measured]
     sizes = {"time": None, "cell": e, "axis": 3, "quantile": len(QUANTILES), **({"step": None} if steps else {})}
     variables = {
-        "time": NetcdfVariable(("time",), make_attributes("time", d) | {"axis": "T"}, chunks=(_CHUNK,)),
+        "time": NetcdfVariable(("time",), make_attributes("time", d) | {"axis": "T"}, chunks=(CHUNK_FRAMES,)),
         "quantile": NetcdfVariable(("quantile",), make_attributes("quantile", d), QUANTILES),
         "axis": NetcdfVariable(("axis",), make_attributes("axis", d), np.array(AXES, dtype=object), dtype=str),
         "rest_volume": NetcdfVariable(("cell",), make_attributes("rest_volume", d), mesh.rest_volumes),
     }
     for name, variable in VARIABLES.items():
         if name in measured:
-            frames = max(_CELLS_CHUNK // e, 1) if "cell" in variable.dims else _CHUNK
-            chunks = (min(frames, _CHUNK), *(sizes[dim] or 1 for dim in variable.dims))
+            frames = max(_CELLS_CHUNK // e, 1) if "cell" in variable.dims else CHUNK_FRAMES
+            chunks = (min(frames, CHUNK_FRAMES), *(sizes[dim] or 1 for dim in variable.dims))
             variables[name] = NetcdfVariable(("time", *variable.dims), make_attributes(name, d), chunks=chunks)
     for name in ["step", *steps] if steps else ():
         dtype = "i8" if name == "step" else "f8"
-        variables[name] = NetcdfVariable(("step",), make_attributes(name, d), chunks=(_CHUNK,), dtype=dtype)
+        variables[name] = NetcdfVariable(("step",), make_attributes(name, d), chunks=(CHUNK_FRAMES,), dtype=dtype)
     return create_dataset(path, title=title, sizes=sizes, variables=variables)

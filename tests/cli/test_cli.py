@@ -227,6 +227,13 @@ def test_a_run_prints_its_results_and_their_folder(case, capfd):
     assert capfd.readouterr().out.startswith("polar          finished")
 
 
+@pytest.mark.parametrize(("name", "index"), [("vtu", "series.pvd"), ("vtkhdf", "series.vtkhdf")])
+def test_the_summary_names_the_file_that_lists_the_frames(case, capfd, name, index):
+    assert run(case, "--variant", "polar", "--set", f"output.format={name}") == 0
+    assert capfd.readouterr().out.splitlines()[-1] == f"  polar/{index}"
+    assert Path("outputs/beam/polar", index).is_file()
+
+
 def test_quiet_prints_nothing(case, capfd):
     assert run(case, "--quiet") == 0
     assert capfd.readouterr() == ("", "")

@@ -321,7 +321,7 @@ with lock_folder(folder) as lock:
     while "closed" not in (lines := Slow(tmp_path / "notes").lines()) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert lines == ["0", "1", "2", "closed"]  # what waited is left out
-    monkeypatch.setattr(lock, "_PATIENCE", PATIENCE)
+    monkeypatch.setattr(lock, "_WAIT_SECONDS", PATIENCE)
     with lock_folder(tmp_path):  # after a moment
         pass
 
