@@ -81,7 +81,7 @@ def _run(options: argparse.Namespace) -> int:
             force=options.force,
             resume=options.resume,
             movie=not options.no_movie,
-            notify=bar.show_frame,
+            on_frame=bar.show_frame,
             on_start=bar.show_start,
             on_drawing=bar.show_picture,
         )
@@ -165,7 +165,7 @@ def _reproduce(options: argparse.Namespace) -> int:
             options.out,
             force=options.force,
             resume=options.resume,
-            notify=lambda _, problem, *rest: bar.show_frame(problem.name.split("/")[0], problem, *rest),
+            on_frame=lambda _, problem, *rest: bar.show_frame(problem.name.split("/")[0], problem, *rest),
             on_drawing=bar.show_picture,
         )
     for name in result.failed:

@@ -16,7 +16,7 @@ from pipeline.results.lock import lock_folder
 from pipeline.results.resume import digest_mesh
 from pipeline.results.variant_run import (
     UNFINISHED,
-    Notify,
+    OnVariantFrame,
     VariantResult,
     VariantRun,
     describe_difference,
@@ -55,7 +55,7 @@ def run_case(
     force: bool = False,
     resume: bool = False,
     movie: bool = True,
-    notify: Notify | None = None,
+    on_frame: OnVariantFrame | None = None,
     on_start: Callable[[str, Problem], None] | None = None,
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> CaseResult:
@@ -63,7 +63,7 @@ def run_case(
 
     `case` may be the path of a case file. A variant that is up to date is not solved again unless `force` is given;
     `resume` continues an unfinished one from its last checkpoint; `movie` draws comparison.mp4, which needs OpenGL.
-    `on_start` is called with a variant before its matrices are factored and its kernels compiled, `notify` after each
+    `on_start` is called with a variant before its matrices are factored and its kernels compiled, `on_frame` after each
     frame, `on_drawing` after each picture of the movie.
 
     Raises CaseError before anything is solved if a variant cannot be built, if the folder holds the result of another
@@ -89,7 +89,7 @@ def run_case(
             if name in todo:
                 if on_start is not None:
                     on_start(name, problems[name])
-                variant_run = VariantRun(variant, problems[name], folder / name, interrupt, writer, notify)
+                variant_run = VariantRun(variant, problems[name], folder / name, interrupt, writer, on_frame)
                 results.append(variant_run.solve(resume=resume and not force))
             else:
                 results.append(VariantResult(name, folder / name, "up to date", read_run(folder / name)))

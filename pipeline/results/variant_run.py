@@ -33,7 +33,7 @@ from pipeline.stepping.state import State
 from pipeline.system.version import VERSION
 
 Status = Literal["finished", "failed", "up to date"]
-Notify = Callable[[str, Problem, Frame, RunSummary], None]
+OnVariantFrame = Callable[[str, Problem, Frame, RunSummary], None]
 # runs that can continue: killed, stopped by the user, or stopped because a file could not be written
 UNFINISHED = ("running", "interrupted")
 _COUNTS = ("steps", "solves", "iterations", "linear_iterations", "factorizations", "rotations")
@@ -108,9 +108,9 @@ class VariantRun:
         folder: Path,
         interrupt: InterruptRequest,
         writer: WriterProcess,
-        notify: Notify | None = None,
+        on_frame: OnVariantFrame | None = None,
     ) -> None:
-        self.case, self.problem, self.folder, self.interrupt, self.notify = case, problem, folder, interrupt, notify
+        self.case, self.problem, self.folder, self.interrupt, self.on_frame = case, problem, folder, interrupt, on_frame
         self.writer = writer
         self.name = case.variant_name or ""
         self.checkpoints = CheckpointFolder(folder / CHECKPOINTS, seconds=case.output.checkpoint_seconds)
@@ -189,8 +189,8 @@ class VariantRun:
 
     def _on_frame(self, frame: Frame, summary: RunSummary) -> None:
         self.summary = summary
-        if self.notify is not None:
-            self.notify(self.name, self.problem, frame, summary)
+        if self.on_frame is not None:
+            self.on_frame(self.name, self.problem, frame, summary)
 
     def _after_step(self, state: State, effort: Effort, writer: Watcher) -> None:
         """Write a checkpoint if one is due; raises Interrupted if the user requested an end."""

@@ -282,7 +282,7 @@ def test_the_bar_shows_the_set_up_and_the_model_that_a_step_needed(case):
 
     bars = Bars(Display())
     auto = load_case(case, overrides={"method.model": "auto"})
-    run_case(auto, Path("bars"), variants=["polar"], movie=False, notify=bars.show_frame, on_start=bars.show_start)
+    run_case(auto, Path("bars"), variants=["polar"], movie=False, on_frame=bars.show_frame, on_start=bars.show_start)
     assert texts[0].startswith("setting up")
     assert len(texts) == 2 + auto.schedule.frames and texts[-1].split()[-1] in ("linear", "corotational")
 

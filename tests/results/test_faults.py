@@ -181,7 +181,7 @@ def test_a_damaged_dataset_is_rebuilt_from_the_frames(tmp_path, monkeypatch, har
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        solve(path, out, notify=interrupt)
+        solve(path, out, on_frame=interrupt)
     dataset = out / "beam" / "only" / "statistics.nc"
     data = dataset.read_bytes()
     dataset.unlink()
@@ -216,7 +216,7 @@ def test_the_dataset_of_an_interrupted_run_can_be_read_while_it_is_unfinished(tm
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        solve(write_one_variant(tmp_path), tmp_path / "out", notify=interrupt)
+        solve(write_one_variant(tmp_path), tmp_path / "out", on_frame=interrupt)
     with xarray.open_dataset(tmp_path / "out" / "beam" / "only" / "statistics.nc") as dataset:
         assert dataset.sizes["time"] == 4
 

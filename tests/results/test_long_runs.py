@@ -34,7 +34,7 @@ def test_memory_and_open_files_do_not_grow(tmp_path, monkeypatch):
         memory.append(read_resident_bytes())
         files.append(len(os.listdir("/proc/self/fd")))
 
-    result = run_case(case, tmp_path / "out", movie=False, notify=measure)
+    result = run_case(case, tmp_path / "out", movie=False, on_frame=measure)
     assert result.variants[0].run["work"]["steps"] == 20_000
     # the first frames load libraries and fill caches
     late = np.array(memory[50:], dtype=float)

@@ -337,7 +337,7 @@ def test_a_run_that_is_interrupted_stays_marked_as_running_with_its_frames(tmp_p
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        solve(tmp_path / "outputs", notify=interrupt)
+        solve(tmp_path / "outputs", on_frame=interrupt)
     folder = tmp_path / "outputs" / "beam" / "polar"
     assert json.loads((folder / "run.json").read_text())["status"] == "running"
     assert len(list((folder / "frames").iterdir())) == 3

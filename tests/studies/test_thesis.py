@@ -196,7 +196,7 @@ def test_up_to_date_scenes_are_not_solved_again(short, cases_folder):
     again = []
     second = reproduce(
         cases_folder, short.html.parent, scenes=("bar_as_printed", "bar"), frames=3, movie=False,
-        notify=lambda *about: again.append(about),
+        on_frame=lambda *about: again.append(about),
     )  # fmt: skip
     assert again == []
     assert second.html.read_text() == short.html.read_text()

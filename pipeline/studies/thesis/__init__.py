@@ -13,7 +13,7 @@ from pipeline.errors import SolveError
 from pipeline.formats.atomic import write_whole
 from pipeline.problem.problem import build
 from pipeline.results.case_run import run_case
-from pipeline.results.variant_run import Notify
+from pipeline.results.variant_run import OnVariantFrame
 from pipeline.studies.thesis.our_runs import ThesisScene, read_scene
 from pipeline.studies.thesis.published import AS_PRINTED, PLANAR_SCENE, SCENES
 from pipeline.studies.thesis.report import KINDS, Report, make_report
@@ -52,7 +52,7 @@ def reproduce(
     force: bool = False,
     resume: bool = False,
     movie: bool = True,
-    notify: Notify | None = None,
+    on_frame: OnVariantFrame | None = None,
     on_drawing: Callable[[int, int], None] | None = None,
 ) -> Reproduction:
     """Return the report on the scenes of a folder of cases, after writing out/reproduction.html and .md.
@@ -66,7 +66,9 @@ def reproduce(
     bar = build(load_case(Path(cases) / f"bar_small{AS_PRINTED}.toml").variant("linear"))
     thesis_scenes, failed = {}, []
     for case in scene_cases:
-        result = run_case(case, target, force=force, resume=resume, movie=movie, notify=notify, on_drawing=on_drawing)
+        result = run_case(
+            case, target, force=force, resume=resume, movie=movie, on_frame=on_frame, on_drawing=on_drawing
+        )
         thesis_scenes[case.name] = read_scene(case, result)
         failed += [f"{case.name}/{v.name}" for v in result.variants if v.run.get("status") == "failed"]
     report = make_report(thesis_scenes, bar, target / "reproduction")
