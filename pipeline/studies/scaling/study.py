@@ -45,6 +45,9 @@ class Scaling:
     rivals: tuple[Rival, ...]
     files: tuple[Path, ...]
 
+    def __repr__(self) -> str:
+        return f"<Scaling: {len(self.rows)} rows, bandwidth {self.bandwidth:.1f} GB/s>"
+
     def format_lines(self) -> list[str]:
         """Return the table, a line for each point, and the rows of the method tables that are not measured."""
         methods = [{key.removeprefix("method."): value for key, value in keys.items()} for keys in METHODS.values()]

@@ -37,6 +37,9 @@ class Stability:
     tolerance: float
     files: tuple[Path, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<Stability of {self.name}: {len(self.results)} trials of slices {', '.join(self.values)}>"
+
     def list_outcomes(self, slice_name: str) -> list[list[str]]:
         """Return the outcomes of a slice, a row for each method."""
         count = len(self.values[slice_name])

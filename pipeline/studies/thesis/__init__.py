@@ -32,6 +32,9 @@ class Reproduction:
     scenes: dict[str, ThesisScene]
     failed: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<Reproduction {self.markdown}: {self.summary}>"
+
     @property
     def exit_code(self) -> int:
         """Return 3 if a variant failed, else 0."""

@@ -41,6 +41,7 @@ QUICK_FACTORS = (1.0, 0.5, 0.25)
 # parts of the smallest step: the reference stepper alone takes these too, and half the last is the reference's
 SMALLER = (0.5, 0.25)
 REFERENCE_PART = 0.125
+_FINE_STEPS = 3  # of the plan's, from the case's own down: finer meshes cost eight times as much or more
 _MOST_FRAMES = 50  # compared of a run; more cost memory and change errors little
 _BELOW_LIMIT = 0.9  # of the limit at rest, which falls as the body deforms
 
@@ -91,6 +92,10 @@ class Plan:
     refinements: tuple[int, ...]
     tolerance: float
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.settings)} settings, {self.frames} instants"
+        return f"<Plan of {self.case.name}: {counts}, refinements {self.refinements}>"
 
     def make_reference(self, refinement: int) -> Setting:
         """Return the setting whose motion counts as exact on a mesh."""
@@ -193,7 +198,7 @@ def _list_settings(plan: Plan, refinement: int) -> list[Setting]:
     """Return the settings of one mesh, the reference first."""
     mass, other = plan.case.method.mass, {"consistent": "lumped", "lumped": "consistent"}[plan.case.method.mass]
     fine = refinement > 1
-    dts = [dt for dt in plan.dts if dt <= plan.dt][:3] if fine else plan.dts
+    dts = [dt for dt in plan.dts if dt <= plan.dt][:_FINE_STEPS] if fine else plan.dts
     out = [plan.make_reference(refinement)]
     for stepper in IMPLICIT_STEPPERS:
         out += [Setting(refinement, mass, stepper, dt, *m) for dt in dts for m in (FINE_MODELS if fine else MODELS)]

@@ -53,6 +53,9 @@ class Tradeoff:
     lines: tuple[str, ...]
     files: tuple[Path, ...]
 
+    def __repr__(self) -> str:
+        return f"<Tradeoff {self.folder}: {self.sentence}>"
+
 
 def study_tradeoff(
     plan: Plan,
