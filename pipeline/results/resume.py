@@ -49,7 +49,7 @@ def prepare_resume(
         try:
             _rebuild_statistics(folder, problem, output, next_frame_index(checkpoint, problem), title)
         except SeriesError as error:
-            notes.append(f"the checkpoint of step {checkpoint.state.step} cannot be used ({error})")
+            notes.append(f"{folder}: the checkpoint of step {checkpoint.state.step} cannot be used ({error})")
         else:
             return checkpoint, notes
     return None, [*notes, f"{folder}: no usable checkpoint; solved from the start"]

@@ -6,7 +6,7 @@ import platform
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,7 +36,6 @@ Status = Literal["finished", "failed", "up to date"]
 OnVariantFrame = Callable[[str, Problem, Frame, RunSummary], None]
 # runs that can continue: killed, stopped by the user, or stopped because a file could not be written
 UNFINISHED = ("running", "interrupted")
-_COUNTS = ("steps", "solves", "iterations", "linear_iterations", "factorizations", "rotations")
 _ROUNDED = "output.precision = 'float32': statistics.nc cannot be rebuilt from the frames, which are rounded"
 # packages whose version can change a digit of the results or a byte of the files
 _PACKAGES = ("numpy", "scipy", "pyvista", "vtk", "meshio", "xarray", "netCDF4", "numba")
@@ -264,7 +263,7 @@ def _describe_end(summary: RunSummary, problem: Problem) -> dict[str, Any]:
             "cell": summary.worst_cell,
             "time": summary.worst_time,
         },
-        "work": {name: getattr(summary.work, name) for name in _COUNTS},
+        "work": {name: count for name, count in asdict(summary.work).items() if name != "seconds"},
         "seconds": {
             "setup": summary.setup_seconds,
             "solving": summary.work.seconds,
