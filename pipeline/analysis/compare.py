@@ -227,7 +227,7 @@ def _create_differences(out: Any, first: str) -> None:
         variable = out.createVariable(
             f"{name}_difference", "f8", source.dimensions, chunksizes=source.chunking(), fill_value=np.nan
         )
-        variable.setncatts({"units": source.units, "long_name": f"{name}, less that of {first}"})
+        variable.setncatts({"units": source.units, "long_name": f"{name}, minus that of {first}"})
         variable.set_auto_maskandscale(False)
 
 
@@ -278,8 +278,8 @@ def _choose_times(series: Sequence[Series]) -> tuple[Floats, tuple[str, ...]]:
     fewest = min(range(len(series)), key=lambda i: (len(inside[i]) or np.inf, i))
     if not len(inside[fewest]):
         spans = ", ".join(f"{s.name} {t[0]:g} to {t[-1]:g} s" for s, t in zip(series, times, strict=True))
-        raise SeriesError(f"no frame lies in the time that all series cover: {spans}")
+        raise SeriesError(f"no frame lies in the time span that all series cover: {spans}")
     return inside[fewest], (
-        f"the times differ: the comparison has the {len(inside[fewest])} of {series[fewest].name} from {start:g} to "
-        f"{end:g} s; numbers of the others are interpolated linearly between their frames",
+        f"the times differ: the comparison uses the {len(inside[fewest])} times of {series[fewest].name} from "
+        f"{start:g} to {end:g} s; numbers of the others are interpolated linearly between their frames",
     )

@@ -100,7 +100,7 @@ def _create_variables(out: Any, names: list[str], first: Series) -> None:
     nodes, variables = len(first.mesh.points), {}
     for name in names:
         unit, dims, meaning = _VARIABLES[name]
-        relation = "less that of" if dims else "from that of"
+        relation = "minus that of" if dims else "from that of"
         attributes = {"units": unit, "long_name": f"{meaning}, {relation} {first.name}"}
         chunks = (1, 1, nodes, 3) if dims else (1, len(out.dimensions["time"]))
         variables[name] = NetcdfVariable(("variant", "time", *dims), attributes, chunks=chunks, fill_value=np.nan)

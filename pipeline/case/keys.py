@@ -67,7 +67,7 @@ class Spec(BaseModel):
 class MeshSpec(Spec):
     """The mesh: a shape with its size and cells, a file with a scale, or arrays from Python."""
 
-    shape: Annotated[Text | None, about("a shape that is meshed by rule")] = None
+    shape: Annotated[Text | None, about("a simple shape that is meshed automatically")] = None
     size: Annotated[Lengths | None, about("extent of the shape along each axis", "m")] = None
     cells: Annotated[Counts | None, about("blocks along each axis, each of which is split into simplices")] = None
     split: Annotated[Text, about("how a block is split into simplices")] = "kuhn"
@@ -80,12 +80,12 @@ class MeshSpec(Spec):
         sources = [key for key in ("shape", "file", "arrays") if getattr(self, key) is not None]
         if len(sources) != 1:
             raise make_fault(
-                f"{sources[0]} and {sources[1]} exclude each other" if sources else "neither shape nor file"
+                f"{sources[0]} and {sources[1]} cannot be combined" if sources else "neither shape nor file is given"
             )
         misplaced = self.derived_keys() & {key for key in self.model_fields_set if getattr(self, key) is not None}
         if misplaced:
             source = "shape" if min(misplaced) != "scale" else "file"
-            raise make_fault(f"goes with {source}, which is not given", min(misplaced))
+            raise make_fault(f"needs {source}, which is not given", min(misplaced))
         if self.shape is not None:
             for key in ("size", "cells"):
                 if getattr(self, key) is None:
@@ -143,9 +143,9 @@ class MotionSpec(Spec):
     def _check_motion(self) -> "MotionSpec":
         rigid = self.velocity is not None or self.spin is not None
         if not rigid and self.displacement is None:
-            raise make_fault("neither velocity nor spin")
+            raise make_fault("neither velocity nor spin is given")
         if rigid and self.displacement is not None:
-            raise make_fault("excludes velocity and spin", "displacement")
+            raise make_fault("cannot be combined with velocity or spin", "displacement")
         return self
 
 
@@ -166,7 +166,9 @@ Box = Annotated[tuple[Vector, ...], Length(2, 2), AfterValidator(_check_box)]
 class SelectorSpec(Spec):
     """A set of nodes, chosen by exactly one of plane (with at), box, sphere, below, above or nodes."""
 
-    plane: Annotated[AxisName | None, about("nodes in the plane perpendicular to this axis; needs at")] = None
+    plane: Annotated[AxisName | None, about("nodes in the plane perpendicular to this axis; requires the key at")] = (
+        None
+    )
     at: Annotated[FiniteNumber | None, about("position of the plane along its axis, after scaling", "m")] = None
     box: Annotated[Box | None, about("nodes in a box, given as [[lowest corner], [highest corner]]", "m")] = None
     sphere: Annotated[SphereSpec | None, about("nodes in a ball")] = None
@@ -179,13 +181,13 @@ class SelectorSpec(Spec):
         kinds = ("plane", "box", "sphere", "below", "above", "nodes")
         given = [kind for kind in kinds if getattr(self, kind) is not None]
         if self.at is not None and not given:
-            raise make_fault("goes with plane, which is not given", "at")
+            raise make_fault("needs plane, which is not given", "at")
         if not given:
             raise make_fault(f"no selector; give one of {', '.join(kinds)}")
         if len(given) > 1:
-            raise make_fault(f"{given[0]} and {given[1]} exclude each other")
+            raise make_fault(f"{given[0]} and {given[1]} cannot be combined")
         if (self.plane is None) != (self.at is None):
-            raise make_fault("missing" if self.at is None else "goes with plane, which is not given", "at")
+            raise make_fault("missing" if self.at is None else "needs plane, which is not given", "at")
         return self
 
 
@@ -205,7 +207,7 @@ class BodyForceSpec(Spec):
     """A force per volume."""
 
     value: Annotated[Vector, about("force per rest volume", "N/m3")]
-    factor: Annotated[FiniteNumber, about("factor that multiplies value")] = 1.0
+    factor: Annotated[FiniteNumber, about("factor by which value is multiplied")] = 1.0
 
 
 class BareVector:
@@ -226,7 +228,7 @@ class BareVector:
 class LoadsSpec(Spec):
     """Dead loads: they do not follow the deformation."""
 
-    gravity: Annotated[Vector | None, about("acceleration that acts on the density", "m/s2")] = None
+    gravity: Annotated[Vector | None, about("acceleration due to gravity", "m/s2")] = None
     body_force: Annotated[
         BodyForceSpec | None,
         BareVector(),
@@ -246,15 +248,16 @@ class InitialSpec(Spec):
 
     velocity: Annotated[Vector | None, about("initial velocity of the free nodes", "m/s")] = None
     spin: Annotated[SpinSpec | None, about("initial rotation, added to the velocity")] = None
-    factor: Annotated[FiniteNumber, about("factor that multiplies velocity and spin")] = 1.0
+    factor: Annotated[FiniteNumber, about("factor by which velocity and spin are multiplied")] = 1.0
     velocity_field: Annotated[
-        PythonValue | None, about("initial velocity of every node, an array from Python; excludes velocity", "m/s")
+        PythonValue | None,
+        about("initial velocity of every node, an array from Python; cannot be combined with velocity", "m/s"),
     ] = None
 
     @model_validator(mode="after")
     def _check_velocity(self) -> "InitialSpec":
         if self.velocity is not None and self.velocity_field is not None:
-            raise make_fault("velocity and velocity_field exclude each other")
+            raise make_fault("velocity and velocity_field cannot be combined")
         return self
 
 
@@ -264,9 +267,9 @@ class MethodSpec(Spec):
     model: Annotated[
         str, OneOf("fixed", "auto"), about("whether each step chooses its own model: linear, corotational…")
     ] = "fixed"
-    volume_tolerance: Annotated[Fraction, about("spurious volume that a step may have with model = auto")] = 0.01
+    volume_tolerance: Annotated[Fraction, about("largest spurious volume that a step may have if model = auto")] = 0.01
     law: Annotated[Text, about("elastic law")] = "corotational"
-    rotation: Annotated[Text, about("rotation of a cell that the corotational law takes")] = "polar"
+    rotation: Annotated[Text, about("how the corotational law finds the rotation of a cell")] = "polar"
     stepper: Annotated[Text, about("time integrator")] = "backward_euler"
     iterations: Annotated[Iterations, about("linear solves per step, or converged")] = 1
     mass: Annotated[str, OneOf("consistent", "lumped"), about("mass matrix")] = "consistent"
@@ -294,7 +297,7 @@ class ScheduleSpec(Spec):
     @classmethod
     def _check_rhythm(cls, value: Any) -> Any:
         if isinstance(value, dict) and {"frame_interval", "steps_per_frame"} <= value.keys():
-            raise make_fault("frame_interval and steps_per_frame exclude each other")
+            raise make_fault("frame_interval and steps_per_frame cannot be combined")
         return value
 
     @model_validator(mode="after")
@@ -317,17 +320,19 @@ class OutputSpec(Spec):
     precision: Annotated[
         Literal["float64", "float32"],
         OneOf("float64", "float32"),
-        about("precision of the fields in frames; datasets are float64 always"),
+        about("precision of the fields in frames; datasets are always float64"),
     ] = "float64"
     checkpoint_seconds: Annotated[Positive, about("wall time between two checkpoints", "s")] = 10.0
-    checkpoint_frames: Annotated[Count | None, about("frames between two checkpoints, in addition")] = None
+    checkpoint_frames: Annotated[
+        Count | None, about("frames between two checkpoints, in addition to checkpoint_seconds")
+    ] = None
 
 
 class MovieSpec(Spec):
     """The comparison movie."""
 
     variants: Annotated[tuple[Text, ...], about("variants to draw side by side; all if not given")] = ()
-    speed: Annotated[Positive, about("simulated time per time of the movie")] = 1.0
+    speed: Annotated[Positive, about("simulated seconds per second of the movie")] = 1.0
     fps: Annotated[FrameRate, about("pictures per second, 1 to 120", "1/s")] = 30
     size: Annotated[PictureSize, about("width and height, even numbers", "pixel")] = (1280, 720)
     title: Annotated[Text | None, about("title of the movie and the plots; the case's name if not given")] = None
@@ -344,10 +349,10 @@ class CaseFile(Spec):
     initial: Annotated[InitialSpec, about("initial motion")] = InitialSpec()
     method: Annotated[MethodSpec, about("numerical method")] = MethodSpec()
     schedule: Annotated[ScheduleSpec, about("time steps and frames")]
-    output: Annotated[OutputSpec, about("files of the frames")] = OutputSpec()
+    output: Annotated[OutputSpec, about("how frames are written to files")] = OutputSpec()
     movie: Annotated[MovieSpec, about("comparison movie")] = MovieSpec()
     variants: Annotated[
-        dict[str, dict[str, Any]], about("named changes of this case: dotted keys in quotes with their new values")
+        dict[str, dict[str, Any]], about("named changes to this case: dotted keys in quotes with their new values")
     ] = {}
 
     @model_validator(mode="after")

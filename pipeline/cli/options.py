@@ -16,7 +16,7 @@ class SharedOptions(NamedTuple):
 def make_shared_options() -> SharedOptions:
     """Return the parents of the verbs' parsers."""
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("-v", "--verbose", action="store_true", help="show log messages, those of libraries too")
+    common.add_argument("-v", "--verbose", action="store_true", help="show log messages, including those of libraries")
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
     quiet = argparse.ArgumentParser(add_help=False)
     quiet.add_argument("--quiet", action="store_true", help="no progress bar and no details")

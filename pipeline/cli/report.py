@@ -14,7 +14,7 @@ def add_verbs(verbs: Any, shared: SharedOptions) -> None:
     folder.add_argument("folder", metavar="FOLDER", type=Path, help="a result folder, such as outputs/bar")
 
     report = verbs.add_parser(
-        "report", parents=[*shared, folder], help="write report.html, a result folder on one page"
+        "report", parents=[*shared, folder], help="write report.html, which shows a result folder on one page"
     )
     report.set_defaults(run=_report)
 

@@ -74,12 +74,12 @@ def _add_tradeoff_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tolerance", type=float, default=find_default(make_plan, "tolerance"), metavar="T",
                         help="accepted node distance over size, and half of |J - J_ref| (%(default)s)")  # fmt: skip
     parser.add_argument("--dt", dest="dts", type=float, nargs="+", default=[], metavar="S",
-                        help=f"steps to try, divisors of the longest ({factors} of the case's)")  # fmt: skip
+                        help=f"step sizes to try, all divisors of the longest ({factors} of the case's)")  # fmt: skip
     parser.add_argument("--refine", type=int, nargs="+", default=[], metavar="N",
                         help="meshes to try: N times the cells along an axis of a box or rectangle (1 2)")  # fmt: skip
     parser.add_argument("--repeats", type=int, default=find_default(study_tradeoff, "repeats"), metavar="N",
                         help="runs per setting; its time is their median (%(default)s)")  # fmt: skip
-    parser.add_argument("--quick", action="store_true", help="try three steps, on the case's mesh only")
+    parser.add_argument("--quick", action="store_true", help="try three step sizes, on the case's mesh only")
     parser.add_argument("--steps", type=int, metavar="N", help="shorten the schedule to N steps of the case")
     parser.add_argument("--apply", action="store_true", help=f'append the choice to the case file as variant "{NAME}"')
     _add_overrides(parser, "material.youngs_modulus=1e6")
@@ -157,7 +157,7 @@ def _add_stability_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--slice", dest="slices", metavar="NAME", action="append", default=[],
                         help=f"only this slice; may be repeated: {', '.join(SLICES)}")  # fmt: skip
     parser.add_argument("--steps", type=int, default=find_default(study_stability, "steps"), metavar="N",
-                        help="steps of an implicit trial, a fifth of an explicit one's (%(default)s)")  # fmt: skip
+                        help="steps of a trial, five times as many if explicit (%(default)s)")  # fmt: skip
     parser.add_argument("--tolerance", type=float, default=find_default(study_stability, "tolerance"), metavar="T",
                         help="accepted |J - J_ref|, and node distance over size (%(default)s)")  # fmt: skip
     _add_overrides(parser, "initial.factor=1")
@@ -190,7 +190,7 @@ def _add_scaling_options(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument("cases", metavar="CASE", type=Path, nargs="+", help="case files")
     parser.add_argument("--cells", metavar="NXxNYxNZ", nargs="+", default=[],
-                        help="boxes to try, such as 2x8x2 8x26x8; without them the case's own mesh")  # fmt: skip
+                        help="boxes to try, such as 2x8x2 8x26x8 (the case's own mesh)")  # fmt: skip
     parser.add_argument("--method", dest="methods", metavar="NAME", action="append", default=[],
                         help=f"only this method; may be repeated: {', '.join(METHODS)}")  # fmt: skip
     parser.add_argument("--rtol", type=float, default=find_default(study_scaling, "rtol"), metavar="R",

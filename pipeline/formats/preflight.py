@@ -56,7 +56,7 @@ def _find_unsafe_xml(file: Path) -> str | None:
     prologue = _NO_ELEMENTS.sub(b"", prologue)
     root = re.search(rb"<[A-Za-z_]", prologue)
     if root is None:
-        return "it is no XML"
+        return "it is not XML"
     return "it declares entities, which no such file needs" if b"<!ENTITY" in prologue[: root.start()] else None
 
 

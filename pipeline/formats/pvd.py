@@ -26,7 +26,7 @@ def read_index(index: Path) -> list[tuple[float, Path]]:
     except (ET.ParseError, KeyError, ValueError, TypeError, AttributeError) as error:
         raise SeriesError(f"{index}: not a ParaView index: {shorten(str(error), 200)}") from error
     if not frames:
-        raise SeriesError(f"{index}: it lists no frame")
+        raise SeriesError(f"{index}: it lists no frames")
     return frames
 
 
@@ -52,7 +52,7 @@ def _read_pvd(index: Path) -> list[tuple[float, Path]]:
     entries = ET.parse(index).getroot().findall("./Collection/DataSet")
     parts = {entry.get("part", "0") for entry in entries}
     if len(parts) > 1:
-        raise SeriesError(f"{index}: lists {len(parts)} parts a frame; write them as one grid (pyvista: merge)")
+        raise SeriesError(f"{index}: lists {len(parts)} parts per frame; write them as one grid (pyvista: merge)")
     return [(float(entry.attrib["timestep"]), _resolve(index, entry.attrib["file"])) for entry in entries]
 
 

@@ -55,5 +55,5 @@ def read_times(file: Path) -> list[float] | None:
 def _find_reader(file: Path) -> FrameReader:
     if file.suffix not in READERS:
         suffix = shorten(file.suffix) or "a file without suffix"
-        raise SeriesError(f"{file}: {suffix} is not read; one of {', '.join(READERS)} is")
+        raise SeriesError(f"{file}: there is no reader for {suffix}; choose from {', '.join(READERS)}")
     return READERS[file.suffix]

@@ -45,7 +45,9 @@ class Reader:
             return answer
         answer = answer.replace(str(path), str(file))
         if kind == "MemoryError":
-            raise error(f"{file}: reading it takes more than {memory / 1e9:.3g} GB of memory; {GIGABYTES} allows more")
+            raise error(
+                f"{file}: reading it takes more than {memory / 1e9:.3g} GB of memory; raise {GIGABYTES} to allow more"
+            )
         if kind == "Exception":
             raise error(f"{file}: cannot be read ({' '.join(answer.split())[:300]})")
         raise getattr(errors, kind)(answer)
@@ -119,9 +121,9 @@ def _explain_exit(code: int, memory: int, seconds: float) -> str:
     if code >= 0:
         return f"the reader ended with exit code {code}"
     if code in (-signal.SIGKILL, -getattr(signal, "SIGXCPU", 0)):
-        return f"the reader was killed: it took longer than {seconds:.0f} s, or the memory did not suffice"
+        return f"the reader was killed: it took longer than {seconds:.0f} s, or ran out of memory"
     name = signal.Signals(-code).name
     return (
         f"the reader died ({name}): the file is damaged, or takes more than {memory / 1e9:.3g} GB of memory "
-        f"({GIGABYTES} allows more)"
+        f"(raise {GIGABYTES} to allow more)"
     )

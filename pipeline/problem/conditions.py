@@ -70,7 +70,7 @@ def make_supports(case: Case, mesh: Mesh) -> Supports:
     for i, (spec, nodes) in enumerate(zip(case.supports, held, strict=True)):
         twice = nodes[taken[nodes] >= 0]
         if twice.size and (spec.motion or case.supports[taken[twice[0]]].motion):
-            raise case.make_error(f"supports.{i}", f"node {twice[0]} is held by supports.{taken[twice[0]]} already")
+            raise case.make_error(f"supports.{i}", f"node {twice[0]} is already held by supports.{taken[twice[0]]}")
         taken[nodes] = i
         if spec.motion is not None:
             motions.append((nodes, _make_motion(case, f"supports.{i}.motion", spec.motion, mesh)))

@@ -65,15 +65,15 @@ class ModelMode:
 
 
 MODELS: Mapping[str, ModelMode] = {
-    "fixed": ModelMode(False, "law, rotation and iterations as the case gives them"),
+    "fixed": ModelMode(False, "law, rotation and iterations as given in the case"),
     "auto": ModelMode(
-        True, "linear, corotational or converged, whichever a step needs to keep method.volume_tolerance"
+        True, "linear, corotational or converged, whichever a step needs to stay within method.volume_tolerance"
     ),
 }
 LAWS: Mapping[str, LawChoice] = {
     "linear": LawChoice(
         lambda material, rotation: Linear(material),
-        "small strains and rotations; grows by 1/cos^2 of the rotation angle; one factor for the whole run",
+        "for small strains and rotations: cells grow by 1/cos^2 of their rotation; one factorization for the whole run",
         is_linear=True,
     ),
     "corotational": LawChoice(Corotational, "linear elasticity in each cell's own rotated frame"),
@@ -95,13 +95,13 @@ STEPPERS: Mapping[str, StepperChoice] = {
     ),
     "bdf2": StepperChoice(
         BDF2.make,
-        "implicit, order 2, L-stable, damps much less; needs the state before",
+        "implicit, order 2, L-stable, damps much less; needs the previous state",
         order=2,
         is_implicit=True,
     ),
     "symplectic_euler": StepperChoice(
         SymplecticEuler.make,
-        "explicit, order 1, no damping, no matrix; steps below a limit only (pipeline check)",
+        "explicit, order 1, no damping, no matrix; stable only for steps below a limit (see pipeline check)",
         order=1,
         is_implicit=False,
     ),
@@ -117,7 +117,7 @@ MODE_FACTORS: Mapping[str, Callable[[float], complex]] = {
     "bdf2": bdf2.mode_factor,
 }
 ITERATIONS: Mapping[str, str] = {
-    "1, 2, …": "solves per step, each with the rotations reached before; 1 is the thesis' method",
+    "1, 2, …": "solves per step, each with the rotations that the previous one reached; 1 is the thesis' method",
     "converged": "Newton to method.tolerance; energy bounded; needs the polar rotation",
 }
 TANGENTS: Mapping[str, str] = {
@@ -131,9 +131,11 @@ MASSES: Mapping[str, Choice[MassModel]] = {
 }
 # None: the law treats inverted cells itself
 INVERSIONS: Mapping[str, Choice[Callable[[], Treatment] | None]] = {
-    "flip": Choice(None, "inverted cells: the smallest singular value is negative; no history"),
+    "flip": Choice(None, "inverted cells: the smallest singular value counts as negative; no history"),
     "last": Choice(Last, "inverted cells: keep the rotation from before the inversion; for one solve per step"),
-    "crossing": Choice(Crossing, "inverted cells: the direction that collapsed is negative; for one solve per step"),
+    "crossing": Choice(
+        Crossing, "inverted cells: the direction that collapsed counts as negative; for one solve per step"
+    ),
 }
 # None: linear/choice.py chooses one of the others by size
 LINEAR_SOLVERS: Mapping[str, Choice[Callable[[SystemSettings], LinearSolver] | None]] = {
@@ -142,17 +144,17 @@ LINEAR_SOLVERS: Mapping[str, Choice[Callable[[SystemSettings], LinearSolver] | N
     ),
     "warped": Choice(
         make_warped_cg,
-        "conjugate gradients to method.linear_rtol, preconditioned by the rest state's factor rotated along",
+        "conjugate gradients to method.linear_rtol, preconditioned by the rest state's factor rotated with the body",
     ),
     "multigrid": Choice(
         make_multigrid_cg,
-        "as warped, with a multigrid cycle instead of the factor: less memory, quick set-up; large meshes",
+        "like warped, with a multigrid cycle instead of the factor: less memory, quick set-up; large meshes",
     ),
     "banded": Choice(BandedCholesky, "Cholesky of the band, factors every new matrix; fastest on small meshes"),
     "superlu": Choice(SuperLU, "sparse direct, factors every new matrix"),
     "pardiso": Choice(
         make_pardiso_or_superlu,
-        "sparse direct by Intel MKL (the `mkl` extra; without it superlu), factors every new matrix",
+        "sparse direct from Intel MKL (the `mkl` extra; without it superlu), factors every new matrix",
     ),
     "cg": Choice(make_block_jacobi_cg, "conjugate gradients with block Jacobi to method.linear_rtol: for small steps"),
 }

@@ -131,7 +131,7 @@ def resolve_mass(case: Case) -> Case:
     inherited = "method.stepper" in case.own_keys and "method.mass" not in case.own_keys
     if "mass" in method.model_fields_set and not inherited:
         raise case.make_error("method.mass", f"{method.stepper} needs 'lumped'")
-    note = f"method.mass is lumped, as {method.stepper} needs it"
+    note = f"method.mass is set to lumped, because {method.stepper} needs it"
     lumped = method.model_copy(update={"mass": "lumped"})
     return case.model_copy(update={"method": lumped, "notes": (*case.notes, note)})
 
@@ -154,11 +154,13 @@ def _check_method(case: Case) -> None:
     if traits.chooses_model:
         if traits.is_explicit or has_treatment:
             goes_with = "implicit steppers and inversion = 'flip'"
-            raise case.make_error("method.model", f"{method.model!r} goes with {goes_with}")
+            raise case.make_error("method.model", f"{method.model!r} works only with {goes_with}")
         return
     if has_treatment and (traits.is_linear or method.rotation != "polar" or method.iterations != 1):
         needed = "the corotational law with polar rotations and iterations = 1"
-        raise case.make_error("method.inversion", f"{method.inversion!r} depends on the step before: it needs {needed}")
+        raise case.make_error(
+            "method.inversion", f"{method.inversion!r} depends on the previous step: it needs {needed}"
+        )
     if traits.is_linear or traits.is_explicit:
         return
     if traits.is_converged and method.rotation != "polar":

@@ -106,7 +106,7 @@ def compare(
     if difference:
         files.append(_draw_distances(path, out / "distance.png", plan.title))
         if plan.interpolated:
-            notes.append("nodes between two frames of a series are on the chord between them")
+            notes.append("between two frames of a series, nodes are taken to be on the chord between them")
     if movie:
         pictures, movie_notes = _draw_movie(series, plan.title, out / "movie.mp4", on_drawing)
         files, notes = files + pictures, notes + movie_notes

@@ -80,7 +80,7 @@ def _try_lock(descriptor: int, path: Path) -> bool:
 
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError) as error:
-        raise CaseError(f"{path.parent}: another run is writing there; wait for it or use --out") from error
+        raise CaseError(f"{path.parent}: another run is writing to it; wait for it or use --out") from error
     except OSError:  # a file system without locks
         return True
     return _is_open_file(descriptor, path)

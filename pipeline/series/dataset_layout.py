@@ -15,7 +15,7 @@ _REQUIRED = (*STATIC, "displacement")
 # unit and long_name of fields that are not in VARIABLES
 _FIELDS = {
     "rest_position": ("m", "position at rest"),
-    "displacement": ("m", "position less rest position"),
+    "displacement": ("m", "position minus rest position"),
     "velocity": ("m s-1", "velocity"),
     "volume": ("m3", "signed volume"),
     "connectivity": ("1", "nodes of the cell, counted from 0"),

@@ -55,7 +55,7 @@ def find_fault(file: Path) -> str | None:
     if name.endswith((".vtu", ".pvtu", ".vtp")):
         if b"</VTKFile>" in _read_end(name, status.st_size):
             return None
-        return "is cut off: it does not end with </VTKFile>"
+        return "is truncated: it does not end with </VTKFile>"
     if file.suffix == ".vtk":  # nothing at its end shows that it is whole
         return _find_legacy_fault(file, file.stat().st_mtime_ns)
     return None

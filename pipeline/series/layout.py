@@ -61,7 +61,7 @@ class SeriesLayout:
         if not have_same_cells(grid, self.grid):
             raise SeriesError(
                 f"{where}: its cells are not those of the first frame "
-                f"({len(grid.types)} cells, {grid.count} points; there {len(self.grid.types)} and "
+                f"({len(grid.types)} cells, {grid.count} points; it has {len(self.grid.types)} and "
                 f"{self.grid.count}): the topology changes"
             )
 
@@ -180,7 +180,7 @@ def _choose_displacement(
     vectors = [n for n, a in first.point_data.items() if a.ndim == 2 and a.shape[1] in (2, 3)]
     named = [name for name in vectors if name.lower() in _DISPLACEMENTS]
     if len(named) == 1:
-        return named[0], (f"the points do not move; the field {named[0]} is taken for the displacement",)
+        return named[0], (f"the points do not move; the field {named[0]} is taken as the displacement",)
     candidates = named or [name for name in vectors if not any(word in name.lower() for word in _OTHERS)]
     if candidates:
         raise SeriesError(

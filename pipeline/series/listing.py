@@ -80,7 +80,7 @@ def _find_index(path: Path) -> Path:
             return path / name
     indices = sorted(file for file in path.iterdir() if file.suffix in (*INDEX_SUFFIXES, *TEMPORAL_SUFFIXES))
     if len(indices) > 1:
-        raise SeriesError(f"{path}: holds several series, name one: {join_names(file.name for file in indices)}")
+        raise SeriesError(f"{path}: holds several series; name one of {join_names(file.name for file in indices)}")
     return indices[0] if indices else path
 
 
@@ -112,7 +112,7 @@ def _list_numbered(where: Path, candidates: Iterable[Path]) -> tuple[list[Member
         stems[re.sub(r"\d+", "*", file.name)] += 1
     if len(stems) > 1:
         patterns = join_names(f"{stem} ({count})" for stem, count in stems.items())
-        raise SeriesError(f"{where}: holds several series, give a pattern: {patterns}")
+        raise SeriesError(f"{where}: holds several series; give a pattern: {patterns}")
     times = [read_times(file) if find_fault(file) is None else None for file in files]
     known = [file_times[0] for file_times in times if file_times]
     if len(known) == len(files):
@@ -123,7 +123,7 @@ def _list_numbered(where: Path, candidates: Iterable[Path]) -> tuple[list[Member
     # files that cannot be read have no time either; their faults are reported later
     unknown = [file for file, own in zip(files, times, strict=True) if not own and find_fault(file) is None]
     if unknown:
-        raise SeriesError(f"{where}: {len(known)} files have a time (TimeValue), {unknown[0].name} has none")
+        raise SeriesError(f"{where}: {len(known)} files have a time (TimeValue), but {unknown[0].name} has none")
     return [Member(own[0] if own else float("nan"), file) for own, file in zip(times, files, strict=True)], []
 
 

@@ -138,7 +138,8 @@ class FrameArray(BackendArray):
         value = np.asarray(self._store.read_field(self._kind, self._name, index))
         if value.shape != self.shape[1:]:
             raise SeriesError(
-                f"{self._store.series.files[index]}: {self._name} is {value.shape}, first it was {self.shape[1:]}"
+                f"{self._store.series.files[index]}: {self._name} has shape {value.shape}, "
+                f"in the first frame {self.shape[1:]}"
             )
         return value
 

@@ -146,7 +146,7 @@ class RemoteRecording:
             return OutputError(f"the answers of the process that writes frames make no sense ({shorten(str(error))})")
         code = self._child.wait()
         remedy = "; out of memory?" if code == -9 else ""  # SIGKILL, the system's last resort
-        return OutputError(f"the process that writes frames ended by itself (exit code {code}{remedy})")
+        return OutputError(f"the process that writes frames ended unexpectedly (exit code {code}{remedy})")
 
     def _take_answer(self, kind: str, content: Any) -> None:
         if kind == "failed":

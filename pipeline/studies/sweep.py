@@ -205,7 +205,7 @@ def _run_points(client: Any, task: Task, points: Sequence[Point], most: int) -> 
     for future in running:
         point = point_of[future.key]
         if future.status == "cancelled":
-            raise PipelineError("the scheduler went away; finished points are kept, the same command resumes")
+            raise PipelineError("the scheduler went away; finished points are kept, and the same command resumes")
         error = future.exception()
         if error is None:
             yield point, future.result()

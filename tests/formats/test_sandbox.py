@@ -112,7 +112,7 @@ def test_time_is_limited(child, monkeypatch):
 def test_memory_is_limited_and_the_limit_can_be_raised(child, monkeypatch):
     monkeypatch.setenv(GIGABYTES, "0.5")
     before = child("processes")
-    assert f"takes more than 0.5 GB of memory; {GIGABYTES} allows more" in read_error(child, "hog")
+    assert f"takes more than 0.5 GB of memory; raise {GIGABYTES} to allow more" in read_error(child, "hog")
     assert child("processes") == before  # an array that is too large is no death
     monkeypatch.setenv(GIGABYTES, "junk")
     assert reader._memory_limit(0) == 2 * 10**9 and reader._memory_limit(10**9) == 40 * 10**9

@@ -119,7 +119,7 @@ def test_a_beam_whose_ends_turn_slowly_turns_as_a_whole(tmp_path):
 def test_a_node_cannot_follow_two_supports_of_which_one_moves(tmp_path, order):
     two = [HELD, {"plane": "x", "at": 0.0, "motion": {"velocity": [1.0, 0.0, 0.0]}}]
     message = get_refusal(tmp_path, **UNLOADED | {"supports": [two[i] for i in order]})
-    assert message.startswith("supports.1: node ") and message.endswith(" is held by supports.0 already")
+    assert message.startswith("supports.1: node ") and message.endswith(" is already held by supports.0")
     both = [s | {"motion": {"velocity": [1.0, 0.0, 0.0]}} for s in two]
     assert get_refusal(tmp_path, **UNLOADED | {"supports": both}).startswith("supports.1: node ")
     resting = [HELD, {"plane": "x", "at": 0.0}]
@@ -136,7 +136,7 @@ def test_a_node_cannot_follow_two_supports_of_which_one_moves(tmp_path, order):
             {"spin": {"axis": [0, 1.0, 0], "rate": 1.0, "center": [0.0, 1.0]}},
             "supports.0.motion.spin.center: [0.0, 1.0] has 2 components, the mesh has 3",
         ),
-        ({}, "supports.0.motion: neither velocity nor spin"),
+        ({}, "supports.0.motion: neither velocity nor spin is given"),
         ({"spin": {"axis": [0.0, 0.0, 0.0], "rate": 1.0}}, "supports.0.motion.spin.axis: "),
     ],
     ids=["velocity", "center", "nothing", "axis"],

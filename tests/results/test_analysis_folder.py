@@ -164,7 +164,7 @@ def test_different_times_are_interpolated_with_a_note(tmp_path, monkeypatch):
     a = make_series(tmp_path / "a", [0.0, 1.0, 2.0], "a")
     b = make_series(tmp_path / "b", [0.0, 0.5, 1.5, 2.5], "b")
     result = compare([a, b], tmp_path / "out")
-    assert any("has the 3 of a from 0 to 2 s" in note and "interpolated" in note for note in result.notes)
+    assert any("uses the 3 times of a from 0 to 2 s" in note and "interpolated" in note for note in result.notes)
     with xarray.open_dataset(result.files[0]) as dataset:
         assert dataset["time"].values.tolist() == [0.0, 1.0, 2.0]
         between = ((1 + GROWTH * 0.5) ** 3 + (1 + GROWTH * 1.5) ** 3) / 2

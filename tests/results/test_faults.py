@@ -235,7 +235,7 @@ def test_force_respects_the_lock_of_another_run(tmp_path, capfd):
         assert holder.stdout.readline() == b"held\n"
         for option in ("--force", "--resume"):
             assert main(["run", str(path), "--out", str(out), "--quiet", option]) == 2
-            assert "another run is writing there" in capfd.readouterr().err
+            assert "another run is writing to it" in capfd.readouterr().err
         assert {file: file.read_bytes() for file in before} == before
     finally:
         holder.communicate()

@@ -376,7 +376,7 @@ def test_a_second_run_in_a_folder_is_an_error_of_one_line(tmp_path, capfd):
         assert main(["run", str(path), "--out", str(tmp_path / "out"), "--no-movie", "--quiet"]) == 2
         assert (tmp_path / "out" / "beam" / LOCK).exists()
     err = capfd.readouterr().err
-    assert err.count("\n") == 1 and err.startswith("CaseError: ") and "another run is writing there" in err
+    assert err.count("\n") == 1 and err.startswith("CaseError: ") and "another run is writing to it" in err
     assert solve(path, tmp_path / "out").variants[0].status == "finished"
     assert not (tmp_path / "out" / "beam" / LOCK).exists()
 

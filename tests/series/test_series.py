@@ -228,7 +228,7 @@ def test_a_displacement_field_is_added_to_points_that_do_not_move(tmp_path):
     path = write_series(tmp_path, field="Displacement")
     series = read_series(path)
     assert_grows(series)
-    assert any("Displacement is taken for the displacement" in note for note in series.notes)
+    assert any("Displacement is taken as the displacement" in note for note in series.notes)
     assert_grows(read_series(path, displacement="Displacement"))
     still = read_series(path, displacement="none")
     assert measure(still.read_frame(2))["volume_ratio"] == pytest.approx(1.0)

@@ -270,7 +270,7 @@ def test_a_killed_process_is_reported_and_the_next_run_starts_another(tmp_path):
                 recording.drain()
                 os.kill(process._child.process.pid, signal.SIGKILL)
 
-        with pytest.raises(OutputError, match=r"ended by itself \(exit code -9; out of memory\?\)"):
+        with pytest.raises(OutputError, match=r"ended unexpectedly \(exit code -9; out of memory\?\)"):
             drive(some_frames(1000, kill), recording)
         drive(some_frames(3), process.start_recording([sink := Notes(tmp_path / "again")]))
         assert sink.lines() == ["0", "1", "2", "closed"]
@@ -314,7 +314,7 @@ with lock_folder(folder) as lock:
     os.kill(os.getpid(), signal.SIGKILL)
 """
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == -signal.SIGKILL
-    with pytest.raises(Exception, match="another run is writing there"), lock_folder(tmp_path):
+    with pytest.raises(Exception, match="another run is writing to it"), lock_folder(tmp_path):
         pass
     (tmp_path / "go").touch()
     deadline = time.monotonic() + PATIENCE

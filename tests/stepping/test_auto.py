@@ -140,7 +140,7 @@ def test_a_step_beyond_a_quarter_turn_is_finished_by_newton() -> None:
 
 
 def test_auto_needs_an_implicit_stepper() -> None:
-    with pytest.raises(CaseError, match=r"method\.model: 'auto' goes with implicit"):
+    with pytest.raises(CaseError, match=r"method\.model: 'auto' works only with implicit"):
         list(run("beam2d", "explicit", model="auto"))
 
 

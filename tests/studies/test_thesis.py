@@ -263,10 +263,10 @@ BAR_VERDICTS = {
     "bar: volume of every tetrahedron [m3]": "reproduced",
     "bar, f = 20, linear: largest volume [m3]": "reproduced with factor 3.12",
     "bar, f = 40, linear: largest volume [m3]": "reproduced with factor 3.12",
-    "bar, linear: f = 40 less f = 20 [m3]": "reproduced with factor 3.12",
+    "bar, linear: f = 40 minus f = 20 [m3]": "reproduced with factor 3.12",
     "bar, f = 20, corotational: largest volume [m3]": "not reproduced: -17.0 % as printed, -8.2 % with factor 3.12",
     "bar, f = 40, corotational: largest volume [m3]": "not reproduced: -23.9 % as printed, +1.9 % with factor 3.12",
-    "bar, corotational: f = 40 less f = 20 [m3]": "not reproduced: -72.9 % as printed, +73.3 % with factor 3.12",
+    "bar, corotational: f = 40 minus f = 20 [m3]": "not reproduced: -72.9 % as printed, +73.3 % with factor 3.12",
 }
 # 5 and 95 % of J / sec^2 above 10 degrees, measured with another program (linear) and read off here (polar)
 BANDS = {

@@ -71,7 +71,7 @@ def test_large_arrays_are_not_copied(loop, monkeypatch):
 
 
 def test_an_untrusted_message_calls_nothing(loop):
-    with pytest.raises(pickle.UnpicklingError, match="is no array"):
+    with pytest.raises(pickle.UnpicklingError, match="is not an array"):
         send_and_receive(loop, OutputError("not an array"), trusted=False)
 
 

@@ -143,7 +143,7 @@ def make_plan(
     count = int(end / ladder[0] * (1 + TIME_RTOL))
     if count < 1:
         raise case.make_error(
-            "schedule.frames", f"{end:g} s are shorter than the longest step of the study, {ladder[0]:g} s"
+            "schedule.frames", f"{end:g} s is shorter than the longest step of the study, {ladder[0]:g} s"
         )
     stride = ceil(count / _MOST_FRAMES)
     meshes, notes = _choose_refinements(case, refinements, quick)
@@ -177,7 +177,7 @@ def _choose_steps(case: Case, requested: Sequence[float], default: Sequence[floa
 def _choose_refinements(case: Case, requested: Sequence[int], quick: bool) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """Return the refinements that can be compared, 1 first, and notes if there is no mesh error."""
     if any(factor < 1 for factor in requested):
-        raise case.make_error("mesh.cells", f"--refine {min(requested)}: factors are whole numbers from 1 on")
+        raise case.make_error("mesh.cells", f"--refine {min(requested)}: factors must be whole numbers, 1 or more")
     odd = [factor for factor in requested if max(requested) % factor]
     if odd:
         raise case.make_error(
