@@ -1,7 +1,7 @@
 """Messages between two Python processes: one format for all of them, and the child's end.
 
-A message is a mark, the number of its parts, their lengths, and the parts: a pickle of protocol 5 and the bytes of its
-arrays, which are not copied unless they are small.
+A message is a mark, the number of its parts, their lengths, and the parts: a protocol-5 pickle and the bytes of its
+arrays, which are copied only if they are small.
 """
 
 import io
@@ -15,12 +15,12 @@ from contextlib import suppress
 from importlib import import_module
 from typing import IO, Any
 
-ASKING_TO_END = (signal.SIGINT, signal.SIGTERM)  # a terminal and a queue send them to all processes of a run
-BEGIN = b"messages follow\n"  # anything that Python prints while the child starts precedes it
-_MARK = b"MSG\n"  # other bytes are recognized at once; read as a length, they would be waited for
+ASKING_TO_END = (signal.SIGINT, signal.SIGTERM)  # terminals and batch queues send them to every process of a run
+BEGIN = b"messages follow\n"  # comes after anything that Python prints while the child starts
+_MARK = b"MSG\n"  # exposes stray bytes at once; read as a length, they would make the reader wait
 _HEAD = struct.Struct("<4sI")  # mark, number of parts
-_SMALL = 1 << 16  # bytes: a smaller message is joined faster than it is written in parts
-_MOST_PARTS = 1000  # in a call: Linux takes 1024
+_SMALL = 1 << 16  # bytes: joining a smaller message is faster than writing it in parts
+_MOST_PARTS = 1000  # per call; Linux accepts 1024
 
 
 class Channel:
@@ -30,7 +30,7 @@ class Channel:
         self._incoming, self._outgoing = incoming, outgoing
 
     def send(self, message: object) -> None:
-        """Write a message, waiting for room; raises BrokenPipeError if the other process has ended."""
+        """Write a message, waiting for room if necessary; raises BrokenPipeError if the other process has ended."""
         buffers: list[pickle.PickleBuffer] = []
         content = pickle.dumps(message, protocol=5, buffer_callback=buffers.append)
         parts = [memoryview(content), *[buffer.raw() for buffer in buffers]]
@@ -42,9 +42,9 @@ class Channel:
             _write(self._outgoing, [memoryview(head), *parts])
 
     def receive(self, *, trusted: bool = True) -> Any:
-        """Return the next message; raises EOFError if there is none, another error if the bytes are no message.
+        """Return the next message; raises EOFError if there is none, another error if the bytes are not a message.
 
-        A message that is not `trusted` may contain only arrays, numbers, texts and containers of them.
+        A message that is not `trusted` may contain only arrays, numbers, strings and containers of these.
         """
         mark, count = _HEAD.unpack(self._read(_HEAD.size))
         if mark != _MARK:
@@ -58,7 +58,7 @@ class Channel:
         content = bytearray(size)
         view, filled = memoryview(content), 0
         while filled < size:
-            count = self._incoming.readinto(view[filled:])  # type: ignore[attr-defined]  # streams of bytes have it
+            count = self._incoming.readinto(view[filled:])  # type: ignore[attr-defined]  # binary streams have it
             if not count:
                 raise EOFError
             filled += count
@@ -66,7 +66,7 @@ class Channel:
 
 
 def _write(descriptor: int, parts: list[memoryview]) -> None:
-    """Write all parts in as few calls as the system allows: each one wakes up the reader."""
+    """Write all parts in as few calls as the system allows: each call wakes the reader."""
     while parts:
         if len(parts) > 1 and hasattr(os, "writev"):
             written = os.writev(descriptor, parts[:_MOST_PARTS])
@@ -79,7 +79,7 @@ def _write(descriptor: int, parts: list[memoryview]) -> None:
 
 
 class _ArrayUnpickler(pickle.Unpickler):
-    """Makes arrays, and numbers, texts and containers of Python; calls nothing else that a pickle names."""
+    """Builds arrays and Python's numbers, strings and containers; calls nothing else that a pickle names."""
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) not in _ARRAYS:
@@ -97,13 +97,13 @@ _ARRAYS = {
 
 
 def serve(function: str) -> None:
-    """Call the function "module:name" of a child process with its Channel to the parent.
+    """Call the function "module:name" in a child process with a Channel to the parent.
 
-    The parent decides when to end: signals sent to all are ignored. Anything printed goes to standard error.
+    The parent decides when to end: signals sent to every process are ignored. Anything printed goes to standard error.
     """
     for number in ASKING_TO_END:
         signal.signal(number, signal.SIG_IGN)
-    # standard streams may be closed: then a copy of standard output could become standard error, and get its prints
+    # if standard streams are closed, the copy of standard output could become standard error and receive its text
     while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
     os.close(spare)

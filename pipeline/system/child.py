@@ -1,4 +1,4 @@
-"""Starts Python processes: with this one's sys.path, on one thread, and with a channel of messages to them."""
+"""Starts Python processes with this one's sys.path, on one thread, and with a message channel to each."""
 
 import os
 import signal
@@ -12,13 +12,13 @@ from pipeline.errors import OutputError
 from pipeline.system.channel import ASKING_TO_END, BEGIN, Channel
 from pipeline.system.threads import make_thread_environment
 
-_PIPE_BYTES = 1 << 20  # messages that wait; Linux gives no more to every user
+_PIPE_BYTES = 1 << 20  # for waiting messages; the most that Linux gives to any user
 
 
 def make_command(code: str, *arguments: str) -> list[str]:
     """Return the command of a Python process that runs `code` with the sys.path of this one.
 
-    The working folder is not searched unless it is in sys.path: its files may have the name of any module.
+    The working folder is not searched unless it is in sys.path: a file there may have the name of any module.
     """
     paths = [path for path in sys.path if isinstance(path, str)]  # Python ignores other entries
     start = f"import sys; sys.path[:] = {paths!r}\n"
@@ -28,7 +28,7 @@ def make_command(code: str, *arguments: str) -> list[str]:
 class ChildProcess:
     """A Python process that runs the function "module:name" with a Channel to this one.
 
-    Both signals that ask for an end are ignored there, from the first moment on: this process decides when to end it.
+    The child ignores both signals that ask it to end, from its very start: this process decides when to end it.
     `keep` is a descriptor that stays open as long as the child lives. A `quiet` child's standard error is discarded.
     Raises OutputError if the process, `name` in messages, cannot be started.
     """
@@ -42,7 +42,7 @@ class ChildProcess:
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=subprocess.DEVNULL if quiet else None,
-                    env=os.environ | make_thread_environment(1),  # BLAS reserves gigabytes of addresses for threads
+                    env=os.environ | make_thread_environment(1),  # BLAS reserves gigabytes of address space for threads
                     pass_fds=() if keep is None or os.name != "posix" else (keep,),
                 )
         except OSError as error:
@@ -57,7 +57,7 @@ class ChildProcess:
         self._has_begun = False
 
     def is_alive(self) -> bool:
-        """Return whether the process has not ended."""
+        """Return whether the process is still running."""
         return self.process.poll() is None
 
     def send(self, message: object) -> None:
@@ -82,14 +82,14 @@ class ChildProcess:
         return self.process.wait()
 
     def close(self, *, patience: float = 0.0) -> None:
-        """Close the channel, which ends the process after its present work; kill it after `patience` [s]."""
+        """Close the channel, which ends the process after its current work; kill it after `patience` [s]."""
         try:
             with suppress(OSError):
                 self._requests.close()
             if patience:
                 with suppress(subprocess.TimeoutExpired):
                     self.process.wait(patience)
-        finally:  # also if the wait is interrupted, so that the process does nothing after this call
+        finally:  # even if the wait is interrupted, so that the process does nothing after this call
             self.process.kill()
             self.process.wait()
             self._answers.close()
@@ -97,7 +97,7 @@ class ChildProcess:
 
 @contextmanager
 def _block_signals() -> Iterator[None]:
-    """Block the signals that ask for an end: a process started here never gets them, from its first moment on."""
+    """Block the signals that ask for an end, so that a process started here never gets them, not even at its start."""
     if sys.platform == "win32":
         yield
         return

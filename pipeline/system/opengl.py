@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pipeline.errors import OutputError
 from pipeline.system.child import make_command
 
-# EGL needs no display, OSMesa no driver either; GLX needs an X server and so is tried last.
+# EGL needs no display, and OSMesa no driver either; GLX needs an X server and so is tried last.
 WINDOWS = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "vtkXOpenGLRenderWindow")
 VTK_CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
 # the window class that works in the parent process, for its children: "window class|DISPLAY it was tried with"
@@ -129,7 +129,7 @@ def draw_pixel(window_class: str) -> None:
 
 
 def main() -> int:
-    """Exit status of `python -m pipeline.system.opengl`: 0 if pictures can be drawn, otherwise 1."""
+    """Return the exit status of `python -m pipeline.system.opengl`: 0 if pictures can be drawn, otherwise 1."""
     try:
         window = ensure_opengl()
     except OutputError as error:

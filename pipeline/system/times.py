@@ -1,7 +1,7 @@
-"""One tolerance for times: which are the same, and whether one is a whole multiple of another.
+"""One tolerance for times: whether two are the same, and whether one is a whole multiple of another.
 
 Times are products i * dt, sums of steps or decimals read from a file. They differ in the last digits, by far less than
-the 1e-9 of their size that is allowed here, and frames are farther apart than that by orders of magnitude.
+the relative 1e-9 allowed here, and frames are orders of magnitude farther apart.
 """
 
 from typing import TYPE_CHECKING
@@ -13,8 +13,8 @@ TIME_RTOL = 1e-9
 
 
 def are_same_times(a: "ArrayLike", b: "ArrayLike") -> bool:
-    """Return whether two times, or two sequences of times, are equal to 1e-9 of the largest of them."""
-    import numpy as np  # case files are checked without it
+    """Return whether two times, or two sequences of times, are equal to within 1e-9 of the largest of them."""
+    import numpy as np  # imported here: case files are checked without it
 
     first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     if first.shape != second.shape:
@@ -24,9 +24,9 @@ def are_same_times(a: "ArrayLike", b: "ArrayLike") -> bool:
 
 
 def count_intervals(span: float, interval: float) -> int | None:
-    """Return how many intervals make up a span, None unless it is a whole number of at least one."""
+    """Return how many intervals make up a span, None unless that is a whole number of at least one."""
     ratio = span / interval
-    if not ratio < 1 / TIME_RTOL:  # an interval is less than the tolerance
+    if not ratio < 1 / TIME_RTOL:  # the interval is below the tolerance
         return None
     count = round(ratio)
     return count if count >= 1 and abs(ratio - count) <= TIME_RTOL * ratio else None
