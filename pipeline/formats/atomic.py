@@ -10,10 +10,10 @@ from pipeline.errors import OutputError
 
 @contextmanager
 def replace_file(path: Path, *, synced: bool = True) -> Iterator[Path]:
-    """Yield a hidden name beside path to write to; on leaving, the file is synced and takes the place of path.
+    """Yield a hidden name beside path to write to; on exit, the file is synced and takes the place of path.
 
-    Syncing waits for the disk, some ms a file; `synced` = False leaves it to the system, for files that can be made
-    again. Such a file is whole or missing after the program was killed, but may be empty or partial after a power loss.
+    Syncing waits for the disk, a few ms per file; `synced` = False leaves it to the system, for files that can be made
+    again. Such a file is whole or missing if the program is killed, but may be empty or partial after a power loss.
     Raises OutputError, and removes the hidden file, if the system refuses.
     """
     hidden = path.with_name(f".{path.stem}.tmp{path.suffix}")
@@ -27,14 +27,14 @@ def replace_file(path: Path, *, synced: bool = True) -> Iterator[Path]:
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
     finally:
-        with suppress(OSError):  # its folder may not exist, or be no folder
+        with suppress(OSError):  # its folder may not exist or not be a folder
             hidden.unlink(missing_ok=True)
 
 
 def write_whole(path: Path, data: str | bytes, *, synced: bool = True) -> None:
-    """Write a text or bytes so that path holds the old or the new content, never a part; raises OutputError.
+    """Write text or bytes so that path holds the old or the new content, never part of it; raises OutputError.
 
-    Unless `synced`, it may hold a part after a power loss: see replace_file.
+    Unless `synced`, it may hold only part of it after a power loss: see replace_file.
     """
     with replace_file(path, synced=synced) as hidden:
         hidden.write_bytes(data.encode() if isinstance(data, str) else data)

@@ -1,11 +1,11 @@
-"""VTK's numbers of the kinds of cells, and how many corners each has.
+"""VTK's numbers for cell types, and how many corners each type has.
 
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html; the numbers are those of vtkCellType.h.
 """
 
 TRIANGLE, TETRAHEDRON = 5, 10
 CELL_TYPES = {2: TRIANGLE, 3: TETRAHEDRON}  # the simplex of each dimension
-# kinds whose number of corners is fixed
+# types with a fixed number of corners
 CORNERS = {
     1: 1,  # vertex
     3: 2,  # line

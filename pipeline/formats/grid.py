@@ -1,4 +1,4 @@
-"""One recorded instant as plain arrays, whichever file it was read from."""
+"""One recorded instant as plain arrays, whatever kind of file it was read from."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -12,10 +12,10 @@ from pipeline.formats.cell_types import CORNERS
 
 
 class LazyArrays(Mapping[str, NDArray[Any]]):
-    """Arrays by name, each decoded anew on every access, which raises SeriesError if it fails.
+    """Arrays by name, each decoded anew on every access; raises SeriesError if decoding fails.
 
-    `decode(array, name)` decodes one; `nbytes` is the memory that the encoded arrays take. There is one function for
-    all arrays because a thousand cached frames hold many objects for the garbage collector.
+    `decode(array, name)` decodes one; `nbytes` is the memory that the encoded arrays take. One function serves
+    all arrays, because a thousand cached frames hold many objects for the garbage collector to visit.
     """
 
     def __init__(self, encoded: Mapping[str, Any], decode: Callable[[Any, str], NDArray[Any]], nbytes: int) -> None:

@@ -19,7 +19,7 @@ CellBlock = tuple[str, int, int, Any]
 def read_plain_mesh(path: Path) -> tuple[Any, list[CellBlock], str]:
     """Return points (n, 2 or 3), the blocks of cells, and the text that meshio printed; raises MeshError.
 
-    meshio prints, warns, and exits if no reader accepts the file; its readers let through the errors of their parsers.
+    meshio prints, warns, and exits if no reader accepts the file; its readers pass on their parsers' errors.
     """
     printed = io.StringIO()
     try:
@@ -45,7 +45,7 @@ def _make_block(block: Any) -> CellBlock:
 
 
 def _read_mesh(path: Path) -> Any:
-    """Return meshio's mesh, also of a gmsh 4.1 file in which only some entities belong to a physical group.
+    """Return meshio's mesh, even of a gmsh 4.1 file in which only some entities belong to a physical group.
 
     meshio 5.3 requires a group for all of them or for none; without the section $Entities it sees none.
     """

@@ -10,9 +10,9 @@ from pipeline.errors import shorten
 _XML = (".vtu", ".pvtu", ".vtp", ".pvd", ".xdmf", ".xmf")
 _HEAD = 1 << 16
 _PROLOGUE = 1 << 20
-# bytes that a byte of the file can decode to: text has two characters a number; the best of each compressor
+# bytes that one byte of a file can decode to: text takes two characters a number; for each compressor, its best
 _GROWTH = {b"": 2, b"vtkLZ4DataCompressor": 260, b"vtkZLibDataCompressor": 1100, b"vtkLZMADataCompressor": 8000}
-_POINT_BYTES, _CELL_BYTES = 12, 9  # three single numbers; a type, an offset and one corner
+_POINT_BYTES, _CELL_BYTES = 12, 9  # three single-precision numbers; a type, an offset and one corner
 _PIECE = re.compile(rb"<Piece\b[^>]*>")
 _LEGACY = re.compile(rb"^\s*(POINTS)\s+(\d+)", re.MULTILINE)
 _HDF = re.compile(rb'Format="HDF"[^>]*>\s*([^<:]+):')
@@ -40,7 +40,7 @@ def find_outside_name(name: str) -> str | None:
     """Return the reason to refuse a file name found in a file, None if it lies in or below that file's folder."""
     path = normpath(name.replace("\\", "/"))
     if not _OTHER_ROOTS.intersection(name) and path[0] != "/" and path.split("/")[0] != "..":
-        return None  # the usual case, also for an index of thousands of frames
+        return None  # the usual case: an index may name thousands of frames
     absolute = PurePosixPath(name).is_absolute() or PureWindowsPath(name).is_absolute() or PureWindowsPath(name).drive
     if absolute or path.split("/")[0] == "..":
         return f"it names a file outside its own folder ({shorten(name, 200)}); put it beside its files"
@@ -48,7 +48,7 @@ def find_outside_name(name: str) -> str | None:
 
 
 def _find_unsafe_xml(file: Path) -> str | None:
-    """Return what is wrong before the first element: entities can expand beyond any memory."""
+    """Return the fault before the first element, if any: entities can expand beyond any memory."""
     with file.open("rb") as stream:
         prologue = stream.read(_PROLOGUE)
     if is_wide(prologue):
@@ -61,12 +61,12 @@ def _find_unsafe_xml(file: Path) -> str | None:
 
 
 def is_wide(content: bytes) -> bool:
-    """Return whether a text seems to have two or four bytes a character, in which a search would miss words."""
+    """Return whether a text seems to have two or four bytes per character: a search would miss words in it."""
     return content.startswith(_WIDE_MARKS) or b"\0" in content[:4]
 
 
 def _find_excess_counts(file: Path) -> str | None:
-    """Return the counts in a file's head if its bytes cannot hold so much, None if they can."""
+    """Return the counts in a file's head if its bytes cannot hold that much, None if they can."""
     with file.open("rb") as stream:
         head = stream.read(_HEAD)
     compressor = re.search(rb'compressor="(\w+)"', head)
@@ -88,7 +88,7 @@ def _read_counts(key: bytes, head: bytes) -> Iterator[int]:
 
 
 def _read_names(file: Path, pattern: re.Pattern[bytes]) -> Iterator[str]:
-    """Yield the names of other files in a file, which may be large."""
+    """Yield the names of other files in a possibly large file."""
     with file.open("rb") as stream:
         rest = b""
         while block := stream.read(1 << 20):

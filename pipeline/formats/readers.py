@@ -1,6 +1,6 @@
-"""Every format that frames are read from, by the suffix of its files: a row each.
+"""Every format that frames are read from: one row per file suffix.
 
-These readers run in the calling process, which a damaged file can crash: foreign files are read through the sandbox.
+These readers run in the calling process, which a damaged file can crash, so foreign files are read through the sandbox.
 """
 
 from collections.abc import Callable, Mapping
@@ -34,14 +34,14 @@ TEMPORAL_SUFFIXES = tuple(suffix for suffix, row in READERS.items() if row.has_s
 
 
 def read_grid(file: Path, step: int = 0) -> Grid:
-    """Return one instant of a file; raises SeriesError if it cannot be read or is no unstructured grid."""
+    """Return one instant of a file; raises SeriesError if it cannot be read or is not an unstructured grid."""
     if not file.is_file():
         raise SeriesError(f"{file}: no such file")
     return _find_reader(file).read(file, step)
 
 
 def read_plain_grid(file: Path, step: int) -> tuple[Any, ...]:
-    """Return the fields of read_grid's Grid, which a child process can send."""
+    """Return the fields of read_grid's Grid as a tuple, which a child process can send."""
     grid = read_grid(file, step)
     fields = (grid.point_data, grid.cell_data, grid.field_data)
     return grid.points, grid.count, grid.types, grid.offsets, grid.connectivity, *fields

@@ -1,7 +1,7 @@
-"""Reads files in a child process, within limits of memory and time: a reader that crashes takes nothing along.
+"""Reads files in a child process, within limits of memory and time: a reader that crashes takes nothing else down.
 
-VTK's readers end the whole process on many a damaged file. One child reads file after file; after a crash a new one is
-started. Its answers may contain only numbers and texts, whatever a damaged file has done to it.
+VTK's readers crash the whole process on many damaged files. One child reads file after file; after a crash a new one is
+started. Its answers may contain only numbers and text, whatever a damaged file has done to it.
 """
 
 import atexit
@@ -16,14 +16,14 @@ from pipeline import errors
 from pipeline.errors import OutputError, PipelineError
 from pipeline.system.child import ChildProcess
 
-GIGABYTES = "PIPELINE_READER_GIGABYTES"  # environment variable: memory that a file may take if the default is too small
+GIGABYTES = "PIPELINE_READER_GIGABYTES"  # environment variable: memory for a file, if the default is too small
 # a file of 1 M tetrahedra with 20 fields takes about 1 GB to read; compressed files take many times their size
 _LEAST_BYTES, _BYTES_PER_BYTE = 2 * 10**9, 40
 _LEAST_SECONDS, _BYTES_PER_SECOND = 20.0, 10**6
 
 
 class Reader:
-    """One child process that reads files: started when it is needed, and again after it died."""
+    """One child process that reads files: started when it is needed, and again if it has died."""
 
     _child: ChildProcess | None
 
@@ -33,7 +33,7 @@ class Reader:
     def read(self, function: str, file: Path, *arguments: object, error: type[PipelineError]) -> Any:
         """Return function(file, *arguments), called in the child; `function` is "module:name".
 
-        A PipelineError of the function is raised here. `error` is raised if the function raises anything else, the
+        A PipelineError from the function is raised here. `error` is raised if the function raises anything else, the
         child dies, or reading takes too much memory or time.
         """
         path = file.absolute()  # the child may have been started in another folder
@@ -66,7 +66,7 @@ class Reader:
         except (EOFError, BrokenPipeError) as end:
             reason = _explain_exit(child.wait(), request[2], seconds)
             raise error(f"{file}: {reason}") from end
-        except BaseException as failure:  # half an answer may be on its way
+        except BaseException as failure:  # part of an answer may still be on its way
             self.close()
             if isinstance(failure, KeyboardInterrupt | SystemExit):
                 raise
@@ -75,7 +75,7 @@ class Reader:
             timer.cancel()
 
     def _start(self, file: Path, error: type[PipelineError]) -> ChildProcess:
-        """Return the child, a new one unless there is one alive."""
+        """Return the child, a new one unless it is alive."""
         if self._child is None or not self._child.is_alive():
             self.close()
             try:
@@ -93,13 +93,13 @@ class Reader:
             child.close()
 
     def forget(self) -> None:
-        """Begin without a child: after a fork an existing one stays with the parent, as two must not ask it."""
+        """Start without a child: after a fork it stays with the parent, as two must not share it."""
         self._child = None
         self._lock = RLock()
 
 
 def _share(reader: Reader) -> Reader:
-    """Return a reader for the whole process: its child ends with the process, and a fork begins without it."""
+    """Return a reader for the whole process: its child ends with it, and a forked process starts without the child."""
     atexit.register(reader.close)
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=reader.forget)

@@ -32,18 +32,18 @@ def _answer(function: str, arguments: tuple[Any, ...], memory: int, seconds: flo
         return type(error).__name__, str(error)
     except MemoryError:
         return "MemoryError", ""
-    except Exception as error:  # any error of a parser
+    except Exception as error:  # whatever a parser raises
         return "Exception", f"{type(error).__name__}: {error}"
 
 
 def _limit_process(memory: int, seconds: float) -> None:
-    """Allow this process so many bytes and seconds more than it has taken."""
+    """Allow this process this many more bytes and seconds than it has used so far."""
     if sys.platform == "win32":
         return
     import resource
 
     used = resource.getrusage(resource.RUSAGE_SELF)
-    # the parent has a clock of its own; this one ends a process whose parent has died
+    # the parent has a clock of its own; this limit ends a process whose parent has died
     end = int(used.ru_utime + used.ru_stime + seconds) + 1
     resource.setrlimit(resource.RLIMIT_CPU, (end, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

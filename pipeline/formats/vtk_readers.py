@@ -18,7 +18,7 @@ from pipeline.formats.grid import Grid
 
 
 def read_vtk(file: Path, step: int) -> Grid:
-    """Return one instant of a file; raises SeriesError if it cannot be read or is no unstructured grid."""
+    """Return one instant of a file; raises SeriesError if it cannot be read or is not an unstructured grid."""
     reader, errors = _make_reader(file)
     if file.suffix == ".vtkhdf":
         reader.SetStep(step)
@@ -40,7 +40,7 @@ def read_vtk_times(file: Path) -> list[float] | None:
 
 
 def read_legacy_times(file: Path) -> list[float] | None:
-    """Return the time [s] of a legacy file, which is known only after reading all of it; None if there is none."""
+    """Return the time [s] of a legacy file, known only after all of it has been read; None if there is none."""
     value = read_vtk(file, 0).field_data.get("TimeValue") if b"TimeValue" in file.read_bytes() else None
     return None if value is None else [float(value.ravel()[0])]
 
@@ -65,7 +65,7 @@ def _make_reader(file: Path) -> tuple[Any, list[str]]:
     reader.AddObserver("ErrorEvent", append_error)
     reader.SetFileName(str(file))
     if file.suffix == ".vtk":
-        # by default it reads only the first field of each kind
+        # by default VTK reads only the first field of each kind
         for kind in ("Scalars", "Vectors", "Tensors", "Fields", "Normals"):
             getattr(reader, f"ReadAll{kind}On")()
     return reader, errors
@@ -73,7 +73,7 @@ def _make_reader(file: Path) -> tuple[Any, list[str]]:
 
 @contextlib.contextmanager
 def _collect_output(errors: list[str]) -> Iterator[None]:
-    """Append VTK's general output to the errors: the only sign of legacy data that end too early."""
+    """Append VTK's general output to the errors: the only sign that legacy data end too early."""
     from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
 
     before, window = vtkOutputWindow.GetInstance(), vtkStringOutputWindow()
@@ -92,7 +92,7 @@ def _check_errors(file: Path, errors: list[str], code: int) -> None:
 
 
 def make_grid(data: Any, file: Path) -> Grid:
-    """Return the arrays of a VTK dataset without its ghost cells; raises SeriesError if it is no unstructured grid."""
+    """Return the arrays of a VTK dataset without ghost cells; raises SeriesError unless it is an unstructured grid."""
     import pyvista
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
@@ -123,7 +123,7 @@ def make_grid(data: Any, file: Path) -> Grid:
 
 
 def _find_cell_fault(types: NDArray[np.uint8], offsets: Ints, length: int) -> str | None:
-    """Return a fault of the cells' types, or of their offsets into a connectivity of that length, None if none."""
+    """Return a fault in the cell types, or in the offsets into a connectivity of that length; None if there is none."""
     import pyvista
 
     unknown = set(np.unique(types).tolist()) - {int(kind) for kind in pyvista.CellType}

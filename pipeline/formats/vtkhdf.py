@@ -1,9 +1,9 @@
-"""Temporal .vtkhdf: one file for all frames, its cells and rest positions stored once, readable after every kill.
+"""Temporal .vtkhdf: one file for all frames, its cells and rest positions stored once, readable even after a kill.
 
-All room is laid out when the file is made, and the arrays of frames are not compressed: a frame is plain bytes at known
-places. Unused room takes no disk space (a sparse file). A frame counts once the link VTKHDF points to the other one of
-two groups, which lists a frame more and shares the rest: a write of a few bytes, and the only one that changes what a
-reader sees. (VTK's reader overruns its memory if Steps/Values is longer than NSteps: the two have to change together.)
+All space is laid out when the file is made, and frame arrays are not compressed: a frame is plain bytes at known
+places. Unused space takes no room on disk (a sparse file). A frame counts once the link VTKHDF points to the other of
+two groups, which lists one more frame and shares the rest: a write of a few bytes, and the only one that readers
+notice. (VTK's reader overruns its memory if Steps/Values is longer than NSteps: the two have to change together.)
 The reader is VTK's, in vtk_readers; ParaView reads temporal VTKHDF from 5.13 on.
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
 """
@@ -24,7 +24,7 @@ _GROUPS = ("turns/even", "turns/odd")
 
 
 class VtkhdfFile:
-    """A file open for appending frames, whose `names` are Points, PointData/…, CellData/… and FieldData/….
+    """A file open for appending frames; its arrays have `names`: Points, PointData/…, CellData/… and FieldData/….
 
     Frames after those of `times` [s], which a killed run may have left, are dropped.
     """
@@ -32,7 +32,7 @@ class VtkhdfFile:
     def __init__(self, path: Path, names: Iterable[str], times: Sequence[float]) -> None:
         import h5py
 
-        # not locked, so that others may read meanwhile
+        # not locked, so that others can read it meanwhile
         self._file = h5py.File(path, "r+", locking=False)
         self._datasets = {name: self._file["VTKHDF"][name] for name in names}
         self.room = len(self._file["VTKHDF/Steps/PointOffsets"])
@@ -83,11 +83,11 @@ def lay_out_file(
 ) -> None:
     """Put a whole file in place for simplices (e, d + 1), rest positions (n, 3) and `room` frames like `arrays`.
 
-    It lists frames of `times` [s], whose arrays are copied from the file `before`, and are unwritten without it.
+    It lists the frames of `times` [s]; their arrays are copied from the file `before`, or left unwritten without it.
     """
     import h5py
 
-    # the oldest layout: every reader knows it, and a kill leaves no mark "open" in it
+    # the oldest layout: every reader knows it, and a kill leaves no "open" mark in it
     with replace_file(path) as hidden, h5py.File(hidden, "w", libver="earliest") as file:
         root, other = (file.create_group(group) for group in _GROUPS)
         _lay_out_cells(root, cells, rest)
@@ -124,7 +124,7 @@ def _lay_out_cells(root: Any, cells: Ints, rest: NDArray[np.floating]) -> None:
 
 
 def _lay_out_frames(root: Any, arrays: Fields, room: int) -> None:
-    """Give every frame its bytes in the file, unwritten."""
+    """Reserve every frame's bytes in the file, unwritten."""
     import h5py
 
     for name, values in arrays.items():
@@ -149,14 +149,14 @@ def _lay_out_steps(root: Any, times: Sequence[float], room: int) -> None:
     for kind, starts in {"PointData": n * index, "CellData": e * index, "FieldData": index}.items():
         fields = [f"{kind}Offsets/{name}" for name in root[kind] if name != "rest_position"]
         _store(steps, fields[0], starts)
-        for name in fields[1:]:  # many names of one array
+        for name in fields[1:]:  # many names for one array
             steps[name] = steps[fields[0]]
     steps["PointOffsets"] = steps["PointDataOffsets/displacement"]
     steps["PointDataOffsets/rest_position"] = steps["PartOffsets"]
 
 
 def _store(root: Any, name: str, values: NDArray[Any]) -> None:
-    """Write an array that never changes, compressed; in 64 KiB chunks, as the default takes a megabyte for one cell."""
+    """Write an array that never changes, compressed in 64 KiB chunks: the default takes a megabyte for one cell."""
     rows = min(65536 // (values.nbytes // len(values)), len(values))
     chunks = (rows, *values.shape[1:])
     root.create_dataset(name, data=values, compression="gzip", shuffle=True, chunks=chunks)

@@ -1,9 +1,9 @@
-"""Inline .vtu files, as most programs write them: numbers within the XML, in base64, plain or compressed by zlib.
+"""Inline .vtu files, as most programs write them: numbers within the XML, in base64, plain or compressed with zlib.
 
-VTK reads these too, but always all arrays of a file, and has to be loaded first. Here an array is decoded when it is
-accessed, and cells encoded like those of the previous frame are not decoded at all. Every other kind of file
+VTK reads these too, but always every array of a file, and it has to be loaded first. Here an array is decoded on
+access, and cells encoded like those of the previous frame are not decoded at all. Every other kind of file
 (appended, ASCII, several pieces, ghost cells, polyhedra), and every inconsistent one, is left to VTK. Only Python and
-numpy handle the bytes: a damaged file cannot crash the process. The writer is vtu_write.
+numpy handle the bytes, so a damaged file cannot crash the process. The writer is vtu_write.
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
 """
 
@@ -37,7 +37,7 @@ _HEADERS = {"UInt32": "I", "UInt64": "Q"}  # as struct names them
 _WORD_BYTES = {"I": 4, "Q": 8}
 _SECTIONS = {"PointData": "NumberOfPoints", "CellData": "NumberOfCells"}
 _HEAD, _NOT_INLINE = 4096, (b'format="appended"', b'format="ascii"')  # marks a file whose rest need not be read
-# a file that decodes to more than this, and to more than so many times its size, is left to the sandbox
+# a file that decodes to more than the first, and to more than the second times its size, is left to the sandbox
 _LEAST_BYTES, _BYTES_PER_BYTE = 2 * 10**9, 40
 # parsing takes up to four times the file; each mark (element or attribute) takes some 100 bytes
 _LARGEST, _MOST_MARKS = _LEAST_BYTES // 4, 10**6
@@ -56,7 +56,7 @@ class Packed(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """Number of bytes when decoded."""
+        """Return the number of bytes when decoded."""
         return sum(self.sizes)
 
 
@@ -107,7 +107,7 @@ def _split_texts(data: bytes, count: int) -> NDArray[Any]:
 def _inflate(block: bytes, size: int) -> bytes:
     """Return a block decompressed; raises ValueError if it does not have that size."""
     decompressor = zlib.decompressobj()
-    content = decompressor.decompress(block, size + 1)  # one byte more: never much more than declared
+    content = decompressor.decompress(block, size + 1)  # one byte more reveals an excess
     if len(content) != size or not decompressor.eof:
         raise ValueError(f"a block of {size} bytes is damaged")
     return content
@@ -164,13 +164,13 @@ def _make_lazy(group: dict[str, Packed], file: Path) -> LazyArrays:
 def _take_out_texts(content: bytes) -> tuple[bytes, dict[bytes, bytes]]:
     """Return the XML with @k in place of the k-th text long enough to hold numbers, and those texts by their @k.
 
-    A parser looks at every character of them, which would be most of the time of reading. Base64 has no @.
+    A parser would look at every character of them, which would take most of the reading time. Base64 has no @.
     """
     parts, texts = content.split(b"<", _MOST_MARKS), dict[bytes, bytes]()
-    odd = [part for part in parts[2:] if part.startswith((b"!", b"?"))]  # the first two: <?xml and what precedes it
+    odd = [part for part in parts[2:] if part.startswith((b"!", b"?"))]  # the first two: <?xml and the text before it
     if len(parts) > _MOST_MARKS or any(part.startswith(b"!DOCTYPE") for part in parts):
         raise _NotInlineError  # preflight refuses entities
-    for i, part in enumerate([] if odd else parts):  # comments may contain what looks like an element
+    for i, part in enumerate([] if odd else parts):  # comments may contain text that looks like an element
         tag, end, text = part.partition(b">")
         if len(text) > _LONG and b"&" not in text and len(tag) < _LONG_TAG and _TAG.fullmatch(tag):
             mark = b"@%d" % len(texts)
@@ -204,7 +204,7 @@ def _pack(array: ElementTree.Element, tuples: int | None, encoding: _Encoding) -
     is_text = array.tag == "Array" and array.attrib["type"] == "String"
     if (array.tag != "DataArray" and not is_text) or array.attrib["format"] != "binary":
         raise _NotInlineError
-    if any(child.tag != "InformationKey" for child in array):  # ranges that VTK adds behind the numbers
+    if any(child.tag != "InformationKey" for child in array):  # ranges that VTK adds after the numbers
         raise _NotInlineError
     numbers = (array.text or "").strip().encode()
     if numbers.startswith(b"@"):
@@ -246,7 +246,7 @@ def _split_header(text: bytes, encoding: _Encoding) -> tuple[tuple[int, ...], tu
 
 
 def _count_characters(size: int) -> int:
-    """Return the number of base64 characters for so many bytes."""
+    """Return the number of base64 characters for this many bytes."""
     return -(-size // 3) * 4
 
 

@@ -1,6 +1,6 @@
 """Writes .vtu files: inline base64 with zlib; the reader is vtu_read.
 
-Appended data is never written, because the ParaView of several distributions cannot read it. The parts that frames
+Appended data is never written, because ParaView in several distributions cannot read it. The parts that frames
 share (cells, rest positions) are compressed once and well, the rest quickly: low digits hardly compress.
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
 """
@@ -51,7 +51,7 @@ def encode_vtu(
 ) -> bytes:
     """Return one frame as a .vtu: points (n, 3), fields of nodes and cells, numbers of the body as rows (1, k).
 
-    Field data of bytes (dtype S) become texts.
+    Field data of bytes (dtype S) become strings.
     """
     numbers = (_encode_array(name, value, tuples=len(value)) for name, value in field_data.items())
     return b"".join(
@@ -73,9 +73,9 @@ def _encode_element(name: str, arrays: Iterable[bytes]) -> bytes:
 
 
 def _encode_array(name: str, values: NDArray[Any], *, tuples: int | None = None, static: bool = False) -> bytes:
-    """Return a DataArray: one block of zlib behind a header of four numbers, each part in base64.
+    """Return a DataArray: one zlib block after a header of four numbers, each part in base64.
 
-    Bytes (dtype S) become texts, each of which ends with a zero.
+    Bytes (dtype S) become strings, each ending with a zero.
     """
     kind = values.dtype.str[1:]
     if values.dtype.kind == "S":
@@ -83,7 +83,7 @@ def _encode_array(name: str, values: NDArray[Any], *, tuples: int | None = None,
     else:
         tag, type_name = "DataArray", _TYPE_NAMES[kind]
         data = np.ascontiguousarray(values, dtype=f"<{kind}").data.cast("B")
-    # only runs and entropy: three times as fast on floats as level 1, files 3 % larger
+    # only run lengths and entropy coding: three times as fast on floats as level 1, files 3 % larger
     compressor = zlib.compressobj(6) if static else zlib.compressobj(1, strategy=zlib.Z_RLE)
     packed = compressor.compress(data) + compressor.flush()
     header = np.array([1, len(data), 0, len(packed)], dtype="<u8").tobytes()
