@@ -1,9 +1,9 @@
-"""Corrections of a mesh from a file, each with a note, and refusals of defects whose meaning only the author knows.
+"""Corrects a mesh from a file, with a note each time, and refuses defects whose meaning only its author knows.
 
 Corrected, because the shape stays the same: cells listed twice (gmsh writes a cell once for each of its physical
 groups), nodes without cells (centers of arcs; nodes of dropped boundary cells), and meshes whose cells are all
-mirrored, a convention of numbering. Refused: coincident nodes, at which the body may be meant to be whole or to come
-apart; and some mirrored cells among others, which overlap their neighbors.
+mirrored, a numbering convention. Refused: coincident nodes, where the body may be meant to hold together or to come
+apart; and mirrored cells among others, because they overlap their neighbors.
 """
 
 import numpy as np
@@ -61,9 +61,9 @@ def check_points(points: Floats) -> None:
 
 
 def orient_cells(points: Floats, cells: Ints) -> tuple[Ints, list[str]]:
-    """Return the cells, reoriented if all of at least two are mirrored, and a note in that case.
+    """Return the cells, reoriented if there are at least two and all are mirrored, and a note in that case.
 
-    A single mirrored cell may as well be inverted, since no neighbor agrees with it: it is left as it is.
+    A single mirrored cell may just as well be inverted, since it has no neighbor to compare: it is left as it is.
     """
     if len(cells) < 2 or not (signed_volumes(points, cells) < 0).all():
         return cells, []

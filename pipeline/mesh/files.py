@@ -26,7 +26,7 @@ _NEEDED = "linear tetrahedra or planar triangles are needed"
 
 
 def read_mesh(path: str | PathLike[str], scale: float = 1.0) -> Mesh:
-    """Return the tetrahedra of a file, or the triangles of a planar one, with points times scale.
+    """Return the tetrahedra of a file, or the triangles of a planar one, with points multiplied by scale.
 
     The mesh's `notes` list every correction. Raises MeshError for a file that meshio cannot read, a surface,
     higher-order or other solid cells, and for cells and points that cleanup.py refuses.

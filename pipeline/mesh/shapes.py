@@ -18,12 +18,12 @@ _BYTES = 270  # per simplex of a complete body, measured with 100 000 and 800 00
 
 
 def box(size: Sequence[float], cells: Sequence[int], split: str = "kuhn") -> Mesh:
-    """Return [0, size] in cells of 6 tetrahedra: 3 sizes [m], 3 counts. Kuhn's split uses one diagonal direction."""
+    """Return the box [0, size] in cells of 6 tetrahedra: 3 sizes [m], 3 counts. Kuhn's split has one diagonal."""
     return _mesh_grid(size, cells, split, dimension=3, name="box")
 
 
 def rectangle(size: Sequence[float], cells: Sequence[int], split: str = "kuhn") -> Mesh:
-    """Return [0, size] in cells of 2 triangles: 2 sizes [m], 2 counts."""
+    """Return the rectangle [0, size] in cells of 2 triangles: 2 sizes [m], 2 counts."""
     return _mesh_grid(size, cells, split, dimension=2, name="rectangle")
 
 
@@ -43,7 +43,7 @@ def _mesh_grid(size: Sequence[float], cells: Sequence[int], split: str, *, dimen
 
 
 def _check_memory(cells: Sequence[int], dimension: int) -> None:
-    """Raise MeshError if the mesh would not fit into the free memory: the system would end the process."""
+    """Raise MeshError if the mesh would not fit into free memory: the system would kill the process."""
     simplices = prod(cells) * factorial(dimension)
     needed, free = simplices * _BYTES, read_free_bytes()
     if needed > free:

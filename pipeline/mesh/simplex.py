@@ -28,7 +28,7 @@ def signed_volumes(points: Floats, cells: Ints) -> Floats:
     out, by_component = np.empty(len(cells)), np.ascontiguousarray(points.T)
     with np.errstate(all="ignore"):  # overflow and underflow are checked by the caller
         for k in range(0, len(cells), _AT_A_TIME):
-            # clip: the check of every index would take as long as the rest
+            # clip: checking every index would take as long as the rest
             first, *others = (by_component.take(a, 1, mode="clip") for a in cells[k : k + _AT_A_TIME].T)
             D = np.stack([other - first for other in others], axis=1)  # D[i, k]: component i of edge k of all cells
             out[k : k + _AT_A_TIME] = _determinants(D) / (2 if len(D) == 2 else 6)
@@ -50,8 +50,8 @@ def _determinants(D: Floats) -> Floats:
 class Mesh:
     """A rest mesh: points (n, d) [m] and positively oriented cells (e, d + 1).
 
-    `notes` say how reading changed the content of the mesh's file. Raises MeshError for cells that are inverted, flat
-    or name nodes that do not exist.
+    `notes` say how reading changed the file's content. Raises MeshError for cells that are inverted or flat, or that
+    name nodes that do not exist.
     """
 
     points: Floats
@@ -126,7 +126,7 @@ def measure_quality(mesh: Mesh) -> Floats:
         areas = np.linalg.norm(np.cross(sides[:, :, 0], sides[:, :, 1]), axis=-1) / 2
     inradius = d * mesh.rest_volumes / areas.sum(axis=1)
     edges = np.swapaxes(edge_matrices(mesh.points, mesh.cells), 1, 2)
-    # the circumcenter c, seen from the first vertex, satisfies edge . c = |edge|^2 / 2 for every edge
+    # the circumcenter c, relative to the first vertex, satisfies edge . c = |edge|^2 / 2 for every edge
     center = np.linalg.solve(edges, (edges**2).sum(axis=2, keepdims=True) / 2)[:, :, 0]
     return np.asarray(d * inradius / np.linalg.norm(center, axis=1))
 

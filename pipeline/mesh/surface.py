@@ -17,7 +17,7 @@ def find_boundary_faces(mesh: Mesh) -> tuple[Ints, Ints]:
     order = np.lexsort((nodes[:, -1], nodes[:, 0] * n + nodes[:, -2]))  # five times as fast as np.unique of rows
     differs = np.ones(len(order) + 1, dtype=bool)
     differs[1:-1] = (np.diff(nodes[order], axis=0) != 0).any(axis=1)
-    chosen = np.sort(order[differs[1:] & differs[:-1]])  # faces that differ from both neighbors in the order
+    chosen = np.sort(order[differs[1:] & differs[:-1]])  # faces that differ from both neighbors in that order
     return faces[chosen], chosen // (d + 1)
 
 
