@@ -1,6 +1,6 @@
 """Assembly: the sparsity pattern of a mesh's symmetric block matrices, and sums of cell matrices into it.
 
-The pattern is computed once for a mesh; a matrix is then an array of values.
+The pattern is computed once per mesh; a matrix is then an array of values.
 """
 
 from dataclasses import dataclass
@@ -80,7 +80,7 @@ class BlockPattern:
         return out
 
     def leading(self, count: int) -> "BlockPattern":
-        """Return the pattern of the first `count` rows and columns; its values are the first ones of this pattern."""
+        """Return the pattern of the first `count` rows and columns; its values are the first of this pattern's."""
         last = self.indptr[count]
         return BlockPattern(self.indptr[: count + 1], self.indices[:last], self.dimension, np.arange(count))
 

@@ -2,7 +2,7 @@
 
     M dv/dt = f_ext + f_el(x),    f_el,a = -sum_cells V P grad N_a,    K = -df_el/dx
 
-Body sums over cells with numpy, for every law; compiled_body.py computes the same with compiled kernels.
+Body sums over cells with numpy, for every law; compiled_body.py does the same with compiled kernels.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from pipeline.mesh.simplex import Mesh
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Body:
-    """A body; `load` (n, d) [N] is the sum of constant dead loads, `varying_load` returns the others at a time [s].
+    """A body; `load` (n, d) [N] is the sum of constant dead loads, `varying_load` returns the rest at a time [s].
 
     Methods write into `out` if it is given. Returned arrays belong to the caller, unless stated otherwise.
     """
@@ -95,9 +95,9 @@ class Body:
 
     @cached_property
     def frequency_bound(self) -> float:
-        """Return an upper bound on the frequencies at rest with lumped masses [rad/s]: cheap, a few times too high.
+        """Return an upper bound on the frequencies at rest with lumped masses [rad/s]: cheap, but a few times too high.
 
-        In a cell omega^2 <= (lam + 2 mu) V sum_a |grad N_a|^2 over the mass of a corner, rho V / (d + 1).
+        In a cell omega^2 <= (lam + 2 mu) V sum_a |grad N_a|^2 / m, with the mass m = rho V / (d + 1) of a corner.
         """
         m = self.material
         steepest = (self.mesh.shape_gradients**2).sum(axis=(1, 2)).max()
@@ -154,7 +154,7 @@ class Body:
         return out
 
     def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
-        """Load, or compile, the kernels that later steps need, so that no timed step does.
+        """Load or compile the kernels that later steps need, so that no timed step has to.
 
         These are the kernels of one solve, or of forces alone, and optionally those of frame errors and tangents.
         """
@@ -162,7 +162,7 @@ class Body:
             self.momentum(np.zeros_like(self.mesh.points))
 
     def update_rotations(self, x: Floats, R: Floats) -> float:
-        """Write the rotations of the law into R (e, d, d); return the spurious volume of the largest."""
+        """Write the rotations of the law into R (e, d, d); return the spurious volume of the largest one."""
         R[:] = self.rotations(x)
         return spurious_volume(float(np.trace(R, axis1=1, axis2=2).min()), x.shape[1])
 
@@ -171,7 +171,7 @@ class Body:
         return measure_frame_error(self.law, deformation_gradient(self.mesh, x), used, reached)
 
     def bound_frame_error(self, x: Floats) -> float:
-        """Return an upper bound on the indicator of measure_frame_error(x, None), which costs no rotations.
+        """Return an upper bound on the indicator of measure_frame_error(x, None) that needs no rotations.
 
         It is infinite if no bound is known.
         """

@@ -21,7 +21,7 @@ from pipeline.mesh.simplex import Mesh
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompiledBody(Body):
-    """Equal to Body up to rounding; it sums over cells by kernels/tetrahedron.py or, in the plane, triangle.py."""
+    """The same as Body up to rounding; sums over cells with kernels/tetrahedron.py or, in the plane, triangle.py."""
 
     @cached_property
     def _rotation(self) -> int:
@@ -75,7 +75,7 @@ class CompiledBody(Body):
         return self.assembly.pairs.astype(np.int32)
 
     def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
-        """Call the kernels of later steps on no cells, which loads, or compiles, them."""
+        """Call the kernels of later steps on no cells, which loads or compiles them."""
         super().warm_up(solves=solves)
         cells, G, V, mu, lam = self._cells
         X, none, nothing = _to_contiguous(self.mesh.points), (cells[:0], G[:0], V[:0], mu, lam), self._no_rotations
@@ -110,7 +110,7 @@ class CompiledBody(Body):
         return R
 
     def update_rotations(self, x: Floats, R: Floats) -> float:
-        """Write the rotations of the law into R (e, d, d); return the spurious volume of the largest."""
+        """Write the rotations of the law into R (e, d, d); return the spurious volume of the largest one."""
         least_trace = self._kernels.rotations(_to_contiguous(x), *self._cells[:2], self._rotation, R)
         return spurious_volume(least_trace, x.shape[1])
 
@@ -126,16 +126,16 @@ class CompiledBody(Body):
         return FrameError(indicator(trace, d, stress, self.material), spurious_volume(own, d))
 
     def bound_frame_error(self, x: Floats) -> float:
-        """Return an upper bound on the indicator of measure_frame_error(x, None), which costs no rotations."""
+        """Return an upper bound on the indicator of measure_frame_error(x, None) that needs no rotations."""
         if self._rotation != POLAR:
             return super().bound_frame_error(x)
         cells, G, _, mu, lam = self._cells
         tangent, stress = self._frame_error_kernels.bound_frame_error(_to_contiguous(x), cells, G, mu, lam)
-        cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, from the tangent of its half
+        cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, from the tangent of half of it
         return indicator(2 * cosine + x.shape[1] - 2, x.shape[1], stress, self.material)
 
     def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
-        """Return the elastic forces ON the nodes (n, d) [N]; with given R by numpy, as in Body."""
+        """Return the elastic forces ON the nodes (n, d) [N]; if R is given, with numpy as in Body."""
         if R is not None:
             return super().force(x, R, out=out)
         f = np.empty_like(x) if out is None else out
@@ -180,7 +180,7 @@ class LinearBody(CompiledBody):
         return 0.5 * float(np.vdot(u, self.pattern.multiply(self.stiffness, u, np.empty_like(u))))
 
     def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
-        """Sum the stiffness and load, or compile, its products."""
+        """Sum the stiffness, and load or compile the kernels that multiply by it."""
         self.momentum(np.zeros_like(self.mesh.points))
         self.force(self.mesh.points)
         self.energy(self.mesh.points)
@@ -208,7 +208,7 @@ def make_body(
     mass_model: MassModel,
     varying_load: Callable[[float], Floats] | None = None,
 ) -> Body:
-    """Return the fastest body for a law; one without a kernel gets the plain Body."""
+    """Return the fastest body for a law; a law without a kernel gets a plain Body."""
     kind = Body
     if isinstance(law, Linear):
         kind = LinearBody

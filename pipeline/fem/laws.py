@@ -9,7 +9,7 @@ small strains. Neither resists inversion (W is finite at det F = 0), so neither 
 simplices lock near poisson_ratio = 0.5.
 
 With the polar R, R^T F is symmetric and P = 2 mu (F - R) + lam tr(R^T F - I) R. With the Gram-Schmidt R, T's second
-method, P is no derivative: there is no potential, and Newton's method on an energy must not be used.
+method, P is not a derivative: there is no potential, and Newton's method on an energy must not be used.
 
 Exact tangent for the polar R, with S = R^T F, A = tr(S) I - S, (A_i, q_i) its eigenpairs, c = lam (tr S - d) - 2 mu,
 a = axial(R^T dF - dF^T R):
@@ -19,7 +19,7 @@ a = axial(R^T dF - dF^T R):
 `frozen` keeps the first two terms, T's R K_e R^T. `projected` clamps every mu + c/A_i at zero: the nearest positive
 semidefinite tangent, because the three terms act on orthogonal spaces. `exact` is indefinite in compression.
 
-Laws know no mesh: element.py makes nodal forces and stiffness matrices from P and dP/dF.
+Laws know nothing of meshes: element.py makes nodal forces and stiffness matrices from P and dP/dF.
 """
 
 from dataclasses import dataclass
@@ -32,12 +32,12 @@ from pipeline.fem.material import Material
 from pipeline.fem.rotation import POLAR_ROTATION, Rotation
 
 Tangent = Literal["frozen", "projected", "exact"]
-# [mu] replaces the curvature of W on its convex crease, A_i -> 0 with c > 0, where it has no bound
+# [mu] replaces the unbounded curvature of W on its convex crease, A_i -> 0 with c > 0
 CREASE = 1e3
 
 
 class Law(Protocol):
-    """A constitutive law; R (e, d, d) is an argument, so that a solve can use rotations found before."""
+    """A constitutive law; R (e, d, d) is an argument, so that a solve can use rotations computed earlier."""
 
     constant_tangent: bool
 

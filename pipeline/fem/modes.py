@@ -10,7 +10,7 @@ from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.mesh.simplex import label_components
 
-# omega^2 of a rigid mode is rounding: below this part of (wave speed / size)^2
+# omega^2 of a rigid mode is only rounding error: below this fraction of (wave speed / size)^2
 _RIGID = 1e-6
 
 

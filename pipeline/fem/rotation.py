@@ -4,7 +4,7 @@ r"""Rotations R of deformation gradients F = R S, by two methods, and their angl
     gram_schmidt   T 6.11: r0 = a0/|a0|, r1 = a1 orthonormalized, r2 = r0 x r1; the Q of QR, biased by the axes
 
 Both return a finite rotation for every finite F, even if F does not determine one (rank below d - 1): polar then
-completes the singular vectors, gram_schmidt takes the coordinate axis least parallel to the columns before;
+completes the singular vectors, gram_schmidt takes the coordinate axis least parallel to the earlier columns;
 F = 0 gives the identity. Gram-Schmidt rotations have no potential: not for iterations = "converged".
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.fem.kernels import GRAM_SCHMIDT, POLAR
 
-# a column of which less than this part is left counts as zero, or parallel to the one before: its direction is rounding
+# a column with less than this fraction left counts as zero, or parallel to the one before: its direction is noise
 _NULL = 1e-14
 
 
@@ -51,7 +51,7 @@ def polar(F: Floats) -> Floats:
 
 
 def polar_by_svd(F: Floats) -> Floats:
-    """Return the same as `polar` by the textbook's method: the plain reference of the compiled kernel."""
+    """Return the same as `polar` by the textbook method: the plain reference for the compiled kernel."""
     U, _, Vt = np.linalg.svd(_scale_entries(F))
     U[..., :, -1] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[..., None]
     return np.asarray(U @ Vt)

@@ -1,6 +1,6 @@
 """Compiled: the error of the rotations that a solve used; see fem/frame_error.py for numpy.
 
-Numba does not notice changes of rotation.py and tetrahedron.py, which are compiled into this file: `make clean`.
+Numba does not notice changes in rotation.py and tetrahedron.py, which are compiled into this file: `make clean`.
 """
 
 import numpy as np

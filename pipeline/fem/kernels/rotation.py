@@ -1,7 +1,7 @@
 """Compiled: rotations of deformation gradients; see polar_by_svd and gram_schmidt in fem/rotation.py for numpy.
 
 Arithmetic that is the same for every cell runs over LANES cells at once, entries first: F[3 i + j, lane]. The compiler
-vectorizes such loops; cells for which they lose digits are computed again, one by one.
+vectorizes such loops; cells that lose digits in them are computed again, one by one.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ _SEPARATED = 1e-5
 _NEWTON = 30
 _SWEEPS = 20  # 4 x 4 needs about 5
 _NULL = 1e-14  # as in rotation.py
-_PLAIN = 1e-16  # a column that keeps less of its square is computed again, with care
+_PLAIN = 1e-16  # a column that keeps less of its square is computed again, more carefully
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -60,7 +60,7 @@ def _largest_roots(C, root):
             value = (x2 - 2.0) * x2 + C[1, l] * x + C[2, l]
             slope = (4.0 * x2 - 4.0) * x + C[1, l]
             step = value / slope if slope > 0.0 else 0.0
-            step = step if step > 1e-15 * x else 0.0  # a converged lane stays, whatever the others need
+            step = step if step > 1e-15 * x else 0.0  # a converged lane stays as it is, whatever the others need
             root[l] = x - step
             moving += 1 if step > 0.0 else 0
         if moving == 0:
@@ -148,7 +148,7 @@ def jacobi(A, Q):
 def _jacobi_rotation(F, R, lane):
     """Write the closest rotation to one lane of F into that of R, by Jacobi's sweeps on N.
 
-    For the few N whose largest eigenvalue is nearly double: any vector of its space will do, and this finds one. The
+    For the few N whose largest eigenvalue is nearly double: any vector of its eigenspace will do. The
     rotation is the identity if F is zero or not finite.
     """
     largest, finite = 0.0, 0.0

@@ -5,7 +5,7 @@
 The factors mu + c / A_i are bounded; `projected` leaves out negative ones. For dF = du (x) grad N_b, up to its sign,
 q . a = R (q x grad N_b) . du for every q.
 
-Numba does not notice changes of rotation.py and tetrahedron.py, which are compiled into this file: `make clean`.
+Numba does not notice changes in rotation.py and tetrahedron.py, which are compiled into this file: `make clean`.
 """
 
 import numpy as np

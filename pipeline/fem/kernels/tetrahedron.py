@@ -1,6 +1,6 @@
 """Compiled kernels for tetrahedra with the corotational or the linear law, on one thread.
 
-Each does in one pass over the cells the work of laws.py, element.py and assembly.py in numpy; tests compare the two.
+In one pass over the cells, each does what laws.py, element.py and assembly.py do in numpy; tests compare the two.
 Compiled once per machine (cached beside this file), not once per run. `rotation` is POLAR, GRAM_SCHMIDT or, for the
 linear law, IDENTITY.
 
@@ -25,7 +25,7 @@ from pipeline.fem.kernels.rotation import (
 def compute_gradients(x, cells, G, first, D, F):
     """Write F = sum_a (x_a - x_0) (x) grad N_a of LANES cells from `first` on into F (9, LANES).
 
-    G (9, LANES) are their gradients, entry 3 a + j is component j at corner a + 1; the differences D are scratch.
+    G (9, LANES) are their gradients: entry 3 a + j is component j at corner a + 1; the differences D are scratch.
     """
     for l in range(LANES):
         n0, n1, n2, n3 = cells[first + l, 0], cells[first + l, 1], cells[first + l, 2], cells[first + l, 3]

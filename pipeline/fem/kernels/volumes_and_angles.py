@@ -1,6 +1,6 @@
 """Compiled: volumes and rotation angles of tetrahedra in one pass; see mesh/simplex.py and fem/rotation.py for numpy.
 
-Numba does not notice changes of rotation.py and tetrahedron.py, which are compiled into this file: `make clean`.
+Numba does not notice changes in rotation.py and tetrahedron.py, which are compiled into this file: `make clean`.
 """
 
 import numpy as np
