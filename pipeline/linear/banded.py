@@ -56,7 +56,7 @@ class BandedCholesky:
         self._storage = np.empty((self._band.size, self._band.width))
         n, d = systems.pattern.nodes, systems.pattern.dimension
         self._y = np.empty((n, d))
-        # the kernel is compiled, or loaded, here and not in a timed step
+        # the kernel is compiled or loaded here, not in a timed step
         self._band.fill(np.zeros((systems.pattern.blocks, d, d)), self._storage)
 
     def update(self, values: Floats, write_rotations: NodalRotations) -> Work:

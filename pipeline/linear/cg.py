@@ -13,12 +13,12 @@ from pipeline.fem.assembly import BlockPattern
 from pipeline.linear.solver import NodalRotations, SystemSettings
 from pipeline.linear.work import Work
 
-# far more than a solve that pays takes: block Jacobi needs about 3 h omega_max, a cycle of stretched cells 60
+# far more than a worthwhile solve takes: block Jacobi needs about 3 h omega_max, a cycle on stretched cells 60
 _LIMIT = 2000
 
 
 class Preconditioner(Protocol):
-    """An approximate inverse of the last matrix that `update` gave it."""
+    """An approximate inverse of the last matrix that `update` received."""
 
     def update(self, values: Floats, write_rotations: NodalRotations) -> Work:
         """Take the matrix with these values (blocks, d, d); ask for the nodes' rotations if they are needed."""
@@ -41,7 +41,7 @@ class ConjugateGradients:
         self._load_kernels()
 
     def _load_kernels(self) -> None:
-        """Call the kernels of a solve on zeros: they are compiled, or loaded, here and not in a timed step."""
+        """Call the kernels of a solve on zeros: they are compiled or loaded here, not in a timed step."""
         from pipeline.linear.kernels import vectors as kernels
 
         r, d = self._r, self.pattern.dimension
@@ -93,7 +93,7 @@ class BlockJacobi:
         self._invert = invert_blocks
         self._diagonal = pattern.diagonal
         self._inverse = np.zeros((pattern.nodes, d, d))
-        # kernels are compiled, or loaded, here and not in a timed step
+        # kernels are compiled or loaded here, not in a timed step
         none = np.zeros((0, d))
         invert_blocks(np.eye(d)[None], self._diagonal[:0], self._inverse[:0])
         apply_blocks(self._inverse[:0], none, none, none)

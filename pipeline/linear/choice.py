@@ -3,7 +3,7 @@
 banded     Cholesky of the reverse Cuthill-McKee band: the fastest factor of small meshes
 superlu    sparse LU; a factor per matrix, any conditioning
 pardiso    sparse Cholesky of Intel MKL: the fastest direct solver of large meshes
-warped     conjugate gradients with the factor of the rest state, rotated with the body; one factor a run: middle meshes
+warped     conjugate gradients with the factor of the rest state, rotated with the body; one factor a run: medium meshes
 multigrid  the same with a multigrid cycle in place of the factor: large meshes
 cg         conjugate gradients with block Jacobi, no factor: small steps, for which few iterations suffice
 """
@@ -15,7 +15,7 @@ from pipeline.linear.rest_preconditioner import choose_rest_factor
 from pipeline.system.memory import read_installed_bytes
 
 # [MB] of a band in double precision. A constant matrix is factored once: the cost is reading its band. A changing one
-# is factored in every step, which also costs its width; above this size a single factor (warped) is faster
+# is factored every step, at a cost that also grows with its width: above this size a single factor (warped) is faster
 _CONSTANT_BAND = 20.0
 _CONSTANT_BAND_WITHOUT_MKL = 60.0
 _CHANGING_BAND = 0.5

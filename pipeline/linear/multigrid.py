@@ -2,8 +2,8 @@
 
 Each node of a large mesh joins a group with its neighbors, and a group moves like a rigid body: that is the coarse
 space, smoothed by one Jacobi step (Vanek, Mandel and Brezina 1996). With the prolongation P its matrix is P^T A P.
-Groups form groups again until a band is small. On each level a cycle does a Gauss-Seidel sweep forth before the
-correction and one back after it, so that it is symmetric. Cycles work in single precision: they only precondition.
+Groups form groups again until a band is small. On each level a cycle does a Gauss-Seidel sweep forward before the
+correction and one backward after it, which makes it symmetric. Cycles work in single precision: they only precondition.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from pipeline.linear.banded import factor_in_single
 
 # [MB] of the last level's band in double precision; at 100k tetrahedra 40 needs a third fewer cycles than 20
 _LAST_BAND = 40.0
-# a group has no motion whose eigenvalue is below this part of the largest, such as rotations of a single node
+# a group lacks motions whose eigenvalue is below this fraction of the largest, such as rotations of a single node
 _RANK = 1e-12
 _POWER_STEPS = 10  # the estimate of the largest eigenvalue only scales a smoothing step
 
@@ -131,7 +131,7 @@ def _estimate_largest_eigenvalue(A: bsr_array, inverses: Floats) -> float:
 
 
 def _split_lower(A: bsr_array) -> tuple[BlockPattern, Floats]:
-    """Return pattern and values of the lower blocks; a zero on the diagonal, a motion that a group lacks, becomes 1."""
+    """Return pattern and values of lower blocks; a zero on the diagonal, a motion that a group lacks, becomes 1."""
     A.sort_indices()
     d = A.blocksize[0]
     rows = np.repeat(np.arange(len(A.indptr) - 1), np.diff(A.indptr))

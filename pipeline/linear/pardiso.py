@@ -1,4 +1,4 @@
-"""Intel MKL's sparse Cholesky ("Pardiso"), called through its C interface: the fastest factor of large meshes here.
+"""Intel MKL's sparse Cholesky ("Pardiso"), called through its C interface: the fastest factor for large meshes here.
 
 Optional: the `mkl` extra installs Intel's proprietary wheel on x86-64 Linux and Windows.
 """
@@ -48,7 +48,7 @@ class PardisoFactor:
         # one, kind of matrix, phase, size, no messages, error
         self._numbers = np.array([1, _POSITIVE_DEFINITE, 0, self.size, 0, 0], dtype=np.int32)
         arrays = (self._handle, self._entries, self._indptr, self._indices, self._options, self._numbers)
-        # taken now: numpy cannot give addresses while the interpreter ends
+        # taken now: numpy cannot give addresses while the interpreter shuts down
         self._addresses = tuple(array.ctypes.data for array in arrays)
         self._phase = _ANALYZE_AND_FACTOR
 
@@ -57,13 +57,13 @@ class PardisoFactor:
         entries = values.reshape(-1)
         if self._entries.dtype == values.dtype:
             entries.take(self._stored, 0, self._entries, "clip")
-        else:  # single precision: once a run
+        else:  # single precision: once per run
             self._entries[:] = entries[self._stored]
         self._call(self._phase, None, None)
         self._phase = _FACTOR
 
     def solve(self, b: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Write x with A x = b, both contiguous and in the factor's precision, and return it."""
+        """Write the solution of A x = b into x and return it; both are contiguous and in the factor's precision."""
         self._call(_SOLVE, b, x)
         return x
 
@@ -86,7 +86,7 @@ class PardisoFactor:
 
 
 def _find_address(array: np.ndarray | None) -> int | None:
-    """Return the address of an array; ctypes' pointer objects would leave garbage behind in every call."""
+    """Return the address of an array; ctypes' pointer objects would leave garbage behind at every call."""
     return None if array is None else array.ctypes.data
 
 

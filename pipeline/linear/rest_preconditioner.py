@@ -2,10 +2,10 @@ r"""Conjugate gradients with the factor of the rest state, rotated along with th
 
 The systems of a motion, M + h^2 sum_e R K_e R^T, differ from that at rest, A_0, mostly by rotations. So A_0 is factored
 once, and Q A_0^-1 Q^T preconditions them all; Q is the block diagonal of the nodal rotations. On the thesis' bar with
-10 000 tetrahedra, to 1e-6, this takes 2 to 10 iterations, and up to 15 if thrown three times as hard. No step factors
-anything. The factor is in single precision: it only preconditions.
+10 000 tetrahedra, to 1e-6, this takes 2 to 10 iterations, and up to 15 if it is thrown three times as hard. No step
+factors anything. The factor is in single precision: it only preconditions.
 
-For stiff steps of middle meshes; on small ones a banded factor in every step is faster. On large ones a multigrid cycle
+For stiff steps of medium meshes; on small ones a banded factor in every step is faster. On large ones a multigrid cycle
 of A_0, rotated the same way, replaces the factor: 12 to 16 iterations at a million tetrahedra instead of 3 to 10, but
 each takes a sixth of the time, and so does the set-up. With cells stretched 1 : 3 : 9 the cycle needs 60.
 """
@@ -28,7 +28,7 @@ from pipeline.linear.solver import NodalRotations, SystemSettings
 from pipeline.linear.superlu import factor_symmetric
 from pipeline.linear.work import Work
 
-# [MB] of the band in double precision: above the first MKL's sparse factor is faster to read, above the second any is
+# [MB] of the band in double precision: above the first, MKL's sparse factor is faster to read; above the second, any
 _SMALL_BAND = 20.0
 _LARGE_BAND = 60.0
 
@@ -46,7 +46,7 @@ class RestFactor:
 
 
 def choose_rest_factor(band: Band) -> str:
-    """Return how the rest state is factored: banded, or if it is large by MKL, CHOLMOD (`fast` extra) or SuperLU."""
+    """Return how the rest state is factored: banded or, if it is large, by MKL, CHOLMOD (`fast` extra) or SuperLU."""
     if band.megabytes <= (_LARGE_BAND if pardiso.load_mkl() is None else _SMALL_BAND):
         return "banded"
     if pardiso.load_mkl() is not None:
@@ -55,7 +55,7 @@ def choose_rest_factor(band: Band) -> str:
 
 
 def factor_rest(systems: SystemSettings) -> RestFactor:
-    """Return the factor of the matrix at rest, of the kind for its size."""
+    """Return the factor of the matrix at rest, of the kind that suits its size."""
     return FACTORS[choose_rest_factor(systems.band)](systems)
 
 
@@ -114,11 +114,11 @@ class RotatedFactor:
         n, d = pattern.nodes, pattern.dimension
         self._y = np.zeros(n * d, dtype=np.float32)
         self._Q = np.zeros((n, d, d))
-        # kernels are compiled, or loaded, here and not in a timed step
+        # kernels are compiled or loaded here, not in a timed step
         self.apply(np.zeros((n, d)), 0.0, np.zeros((n, d)), np.zeros((n, d)))
 
     def update(self, values: Floats, write_rotations: NodalRotations) -> Work:
-        """Take the nodal rotations of the matrix' state."""
+        """Take the nodal rotations of the state that the matrix belongs to."""
         write_rotations(self._Q)
         work, self._setup = self._setup, Work()
         return work

@@ -14,7 +14,7 @@ NodalRotations = Callable[[Floats], object]  # writes the nodes' rotations into 
 
 
 class LinearSolver(Protocol):
-    """A solver prepared for one pattern; it holds the last matrix that `update` gave it."""
+    """A solver prepared for one pattern; it holds the last matrix that `update` received."""
 
     def update(self, values: Floats, write_rotations: NodalRotations) -> Work:
         """Take the matrix with these values (blocks, d, d); solvers that need the nodes' rotations ask for them.
@@ -24,7 +24,7 @@ class LinearSolver(Protocol):
         ...
 
     def solve(self, b: Floats, x: Floats) -> Work:
-        """Write the solution of A x = b into x (n, d); iterative solvers start from the x that they get."""
+        """Write the solution of A x = b into x (n, d); iterative solvers start from the x that they are passed."""
         ...
 
 

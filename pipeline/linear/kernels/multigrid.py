@@ -52,8 +52,8 @@ def compile_sweep(d):
         """Write x_i = D_i^-1 (r_i - sum over j < i of A_ij x_j + residual_i) into x (n, d), node by node.
 
         `residual` (n, d) starts as zero; each node i subtracts A_ji x_i from it for all j < i. A sweep from the last
-        node back corrects x. A sweep from the first node on makes x (D + L)^-1 r, whatever it was, and the residual
-        r - A x.
+        node back corrects x. A sweep from the first node on sets x to (D + L)^-1 r, whatever it was, and the
+        residual to r - A x.
         """
         n = len(indptr) - 1
         a, b = np.empty(d, np.float32), np.empty(d, np.float32)
