@@ -1,8 +1,8 @@
 r"""model = "auto": in every step the cheapest model that keeps a tolerance on spurious volume.
 
 A step's spurious volume is tan^2 of the angle between the rotation U that its solve used and the rotation R that it
-reached. Linear elasticity used I, one solve the rotations that it started from, a converged step those that it
-reaches. In strained cells that turn, the stress that the solve balanced is further off: the indicator
+reached. Linear elasticity uses I, one solve the rotations that it starts from, and a converged step those that it
+reaches. In strained cells that turn, the stress that the solve balanced is off by more: the indicator
 (fem/frame_error.py) is the larger of the two, in the worst cell. Hence, with T the tolerance,
 
     U = I and the factor of the rest state, if cells at x_n are that close to I;  else U = R(x_n)
@@ -26,7 +26,7 @@ from pipeline.stepping.newton import Converged
 from pipeline.stepping.report import CONVERGED, COROTATIONAL, LINEAR, ModelChoice, StepReport
 from pipeline.stepping.stage import FrozenPasses, Prefactored, Stage, advance
 
-_SHRINKS = 0.5  # a pass that leaves more than this part of the indicator is not converging
+_SHRINKS = 0.5  # a pass that leaves more than this fraction of the indicator is not converging
 _PASSES = 8  # 7 halvings take an indicator of 1, which is 45 degrees, below the default tolerance of .01
 
 
@@ -44,7 +44,7 @@ class Auto:
         self.newton = newton
         self.tolerance = tolerance
         # a copy of the positions measured last, the result, and whether it was measured from I. A step usually begins
-        # with the positions that the one before ended with: then they are not measured again
+        # at the positions at which the previous one ended: then they are not measured again
         self._x, self._is_measured = np.zeros_like(body.mesh.points), False
         self._error, self._from_rest = FrameError(np.inf, np.inf), False
         # rotations used and rotations reached, in turn
@@ -53,10 +53,10 @@ class Auto:
         from pipeline.stepping.kernels.positions import are_equal
 
         self._are_equal = are_equal
-        are_equal(self._x, self._x)  # it is compiled, or loaded, here and not in a timed step
+        are_equal(self._x, self._x)  # it is compiled or loaded here, not in a timed step
 
     def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
-        """Return the accepted x and v, and a report with the rung and the indicator; raises SolveError as Newton."""
+        """Return the accepted x and v, and a report with rung and indicator; raises SolveError as Newton does."""
         x, v, work, rung = self._solve_first(stage)
         error = self._measure(x)
         for _ in range(_PASSES):
@@ -95,7 +95,7 @@ class Auto:
         return self.passes.run_pass(x, stage, v, self._used, at_x_h=at_x_h)
 
     def _measure(self, x: Floats) -> FrameError:
-        """Return how far the rotations at x are from those used; a bound replaces it if that is low enough."""
+        """Return how far the rotations at x are from those used; a bound replaces the result if it is low enough."""
         self._x[:] = x
         self._is_measured = True
         bound = self.body.bound_frame_error(x) if self._from_rest else np.inf

@@ -1,7 +1,7 @@
 r"""Backward Euler: M (v - v_n) = dt (f_ext + f_el(x_n + dt v)),  x_{n+1} = x_n + dt v   (T 4.47, 4.48 with + for -).
 
-Order 1; L-stable for the linear law. It damps: with z = omega dt a mode keeps 1/sqrt(1 + z^2) of its amplitude a step
-and lags by atan z a step. Not for motions whose oscillation matters: 1 % of damping needs z < .02.
+Order 1; L-stable for the linear law. It damps: with z = omega dt, a step leaves a mode 1/sqrt(1 + z^2) of its amplitude
+and turns it by atan z instead of z. Not for motions whose oscillation matters: 1 % damping needs z < .02.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from pipeline.stepping.state import NO_ARRAYS, Memory, State
 
 @dataclass(frozen=True, eq=False)
 class BackwardEuler:
-    """A stepper; how far the stage is solved makes the method."""
+    """A stepper; the method depends on how far the stage is solved."""
 
     body: Body
     dt: float

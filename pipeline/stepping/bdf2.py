@@ -3,8 +3,8 @@ r"""BDF2: with v_h = (4 v_n - v_{n-1})/3, x_h = (4 x_n - x_{n-1})/3, h = 2 dt/3
     M (v - v_h) = h (f_ext + f_el(x_h + h v)),    x_{n+1} = x_h + h v
 
 Order 2, L-stable for the linear law; started by one step of backward Euler. One solve linearizes at the extrapolated
-x* = 2 x_n - x_{n-1}, which keeps order 2. On one mode the larger root of (3/2 - 2/G + 1/(2 G^2))^2 = -z^2 is G.
-Not for impacts: it remembers the state before.
+x* = 2 x_n - x_{n-1}, which keeps order 2. For one mode, G is the larger root of (3/2 - 2/G + 1/(2 G^2))^2 = -z^2.
+Not for impacts: it remembers the previous state.
 """
 
 from cmath import sqrt
@@ -24,7 +24,7 @@ from pipeline.stepping.state import Memory, State
 
 @dataclass(eq=False)
 class BDF2:
-    """A stepper; `first` makes the first step, the memory carries `x_before` and `v_before`."""
+    """A stepper; `first` makes the first step; the memory carries `x_before` and `v_before`."""
 
     body: Body
     dt: float
@@ -65,7 +65,7 @@ class BDF2:
 
 
 def _extrapolate(now: Floats, before: Floats, part: float, out: Floats) -> Floats:
-    """Return now + part (now - before), in `out`; written so that a body at rest stays there to the last bit."""
+    """Return now + part (now - before), in `out`; written so that a body at rest stays so to the last bit."""
     np.subtract(now, before, out=out)
     out *= part
     out += now

@@ -1,8 +1,8 @@
 """The energy guard: stops a method that blows up while its numbers are still finite.
 
-Kinetic + elastic energy above 10 x (its start + |work of loads and supports| so far, at least a natural scale) after
-three steps in a row is a SolveError. The elastic part costs a pass over the cells, so it is computed only if the
-kinetic part alone exceeds a tenth of that bound: a body that blows up moves.
+It raises SolveError if, after each of three steps in a row, kinetic + elastic energy is above 10 x (its initial value
++ |work of loads and supports| so far, at least a natural scale). The elastic part costs a pass over the
+cells, so it is computed only if the kinetic part alone exceeds a tenth of that bound: a body that blows up moves.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from pipeline.stepping.state import EnergyRecord, Memory, State, Stepper
 # of steps and stays above (tests/stepping/test_energy_guard.py)
 _FACTOR = 10.0
 _STRIKES = 3
-# the energy of a uniform strain of about 1e-5: motions below it are rounding and noise to a user
+# the energy of a uniform strain of about 1e-5: smaller motions are rounding noise to a user
 _NATURAL_STRAIN = 1e-5
 
 
@@ -30,11 +30,11 @@ class EnergyGuard:
     def __init__(self, body: Body, stepper: Stepper) -> None:
         self.body = body
         self.stepper = stepper
-        if body.supports.motions:  # their work asks for forces, whose kernel is compiled, or loaded, here
+        if body.supports.motions:  # their work needs forces, whose kernel is compiled or loaded here
             body.warm_up(solves=False)
         self._least = natural_energy(body)
         self._scratch = np.empty((2, *body.mesh.points.shape))
-        # the loads that vary have no potential: their work is counted in every step instead
+        # varying loads have no potential: their work is counted in every step instead
         self._load_at_rest = float(np.vdot(body.load, body.mesh.points))
         # lumped masses bound v . M v from above: within a cell M = rho V (1 + delta) / ((d + 1) (d + 2))
         self._lumped = np.repeat(body.lumped_mass, body.mesh.dimension)
@@ -65,7 +65,7 @@ class EnergyGuard:
         return new, report
 
     def _update(self, record: EnergyRecord, new: State, work: float, *, watched: bool) -> EnergyRecord:
-        """Return the record after a step that was supplied with work [J]; raises SolveError at the third strike."""
+        """Return the record after a step that added `work` [J]; raises SolveError at the third strike."""
         start, supplied = record.start, record.supplied + work
         source = start + supplied
         if not watched or self._kinetic_bound(new) <= max(source, self._least):
@@ -101,7 +101,7 @@ class EnergyGuard:
 
 
 def natural_energy(body: Body) -> float:
-    """Return the energy [J] below which a motion is rounding and noise to a user."""
+    """Return the energy [J] below which a motion is rounding noise to a user."""
     m = body.material
     return _NATURAL_STRAIN**2 * (m.lam + 2 * m.mu) * float(body.mesh.rest_volumes.sum())
 

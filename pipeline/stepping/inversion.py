@@ -1,12 +1,12 @@
 r"""The rotation of a cell with det F <= 0; if det F > 0, all treatments are the polar rotation.
 
     flip      the smallest singular value is negative (Irving, Teran, Fedkiw 2004): the nearest rotation. A cell
-              pushed far through a face may find another axis shorter, and rest inverted. No history; has a potential
+              pushed far through a face may find another axis shorter, and stay inverted. No history; has a potential
     last      the rotation before the inversion is kept. Recovers, but a cell that turns meanwhile is held back
     crossing  the singular value whose direction collapsed when the cell inverted is taken as negative, as long as it
               stays inverted (after Schmedding, Teschner 2008 and Civit-Flores, Susin 2014)
 
-The last two need the previous step, which they keep in the state's memory; they are for one solve a step. A cell that
+The last two need the previous step, which they keep in the state's memory; they are for one solve per step. A cell that
 is inverted at the start counts as having been at rest before.
 """
 
@@ -25,7 +25,7 @@ Record = Mapping[str, Floats]
 
 
 class Treatment(Protocol):
-    """Rotations that depend on the step before."""
+    """Rotations that depend on the previous step."""
 
     def rotations(self, F: Floats, record: Record) -> tuple[Floats, Record]:
         """Return the rotations R (e, d, d) of F (e, d, d), and the record for the next step."""
@@ -33,7 +33,7 @@ class Treatment(Protocol):
 
 
 def track_rotations(treatment: Treatment | None, body: Body, x: Floats, state: State) -> tuple[Floats | None, Record]:
-    """Return the treatment's rotations at x (n, d) and its next record; without a treatment None and an empty one."""
+    """Return the treatment's rotations at x (n, d) and its next record; without a treatment, None and an empty one."""
     if treatment is None:
         return None, NO_ARRAYS
     return treatment.rotations(deformation_gradient(body.mesh, x), state.memory.inversion)
@@ -56,7 +56,7 @@ class Crossing:
     """Keeps the direction that collapsed: a unit vector of the rest shape, zero for a cell that is not inverted."""
 
     def rotations(self, F: Floats, record: Record) -> tuple[Floats, Record]:
-        """Return polar(F), or with the collapsed direction reflected for cells with det F <= 0."""
+        """Return polar(F), with the collapsed direction reflected for cells with det F <= 0."""
         e, d = F.shape[:2]
         before = record.get("gradient_before", np.broadcast_to(np.eye(d), F.shape))
         collapsed = record.get("collapsed", np.zeros((e, d))).copy()

@@ -1,21 +1,21 @@
 r"""The converged stage: Newton's method on the incremental potential, with backtracking.
 
-    phi(x) = |x - y|_M^2 / (2 h^2) + W(x) - f_ext . x,    y = x_h + h v_h,    supported nodes given
+    phi(x) = |x - y|_M^2 / (2 h^2) + W(x) - f_ext . x,    y = x_h + h v_h,    supported nodes prescribed
     grad phi = M (x - y) / h^2 + grad W - f_ext,          v = (x - x_h) / h
 
 Its minimum is the stage's solution. From x_n every accepted iterate lowers phi, so the energy after a step of
-backward Euler is bounded by the energy before it. From the predictor y the iteration usually takes 3 to 4 iterations,
-so that is tried first; the result is accepted only if it converged and phi is no higher than phi(x_n).
+backward Euler is bounded by the energy before it. From the predictor y Newton's method usually takes 3 to 4 iterations,
+so y is tried first; the result is accepted only if it converged and phi is no higher than phi(x_n).
 
 An iteration:  solve (M/h^2 + K) dx = -grad phi,  then x += s dx with the first s of 1, 1/2, 1/4, … that lowers phi
-enough (Armijo). It stops at  |grad phi| <= tolerance (|M v_h|/h + |f_ext| + |f_el| + a floor of rounding).
+enough (Armijo). It stops at  |grad phi| <= tolerance (|M v_h|/h + |f_ext| + |f_el| + a rounding floor).
 
 tangent = "projected" always descends; in compression it converges linearly, so near the end the exact one replaces it.
 "exact" converges quadratically but may not descend in compression; "frozen" (K' of the thesis) converges linearly.
 The last two are for studies.
 
 If an inverted cell is stretched so far that tr S > d + 2 mu/lam, W has a convex crease; at a minimum on it the
-gradient does not vanish, and the solve is an error.
+gradient does not vanish, and the solve raises an error.
 """
 
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ _Terms = tuple[float, float, float]  # of phi [J]: inertia, elastic energy, load
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
-    """The end of one attempt: x (n, d), phi [J], the residual over its scale [1], and the work."""
+    """The outcome of one attempt: x (n, d), phi [J], the residual over its scale [1], and the work."""
 
     x: Floats
     phi: float
@@ -75,18 +75,18 @@ class Converged:
         self.limits = limits
         self.system = StageSystem(body, solver)
         m, X = body.material, body.mesh.points
-        # the force of a strain of one, the scale of rounding
+        # the force of a unit strain, the scale of rounding
         self._stiff = (2 * m.mu + abs(m.lam)) * body.mesh.rest_volumes.max() ** (
             (body.mesh.dimension - 1) / body.mesh.dimension
         )
-        # the energy of a strain of one everywhere [J], and the strain that rounding of positions causes
+        # the energy of a unit strain everywhere [J], and the strain that rounding of positions causes
         self._full = (2 * m.mu + abs(m.lam)) * float(body.mesh.rest_volumes.sum())
         steepest = float(np.abs(body.mesh.shape_gradients).max())
         self._rounded_strain = float(np.finfo(np.float64).eps * np.abs(X).max()) * steepest
-        # the iterate and the next one on trial; y, -grad phi, dx, and scratch for two vectors
+        # the iterate and a trial of the next one; y, -grad phi, dx, and scratch for two vectors
         self._x, self._trial = np.empty((2, *X.shape))
         self._y, self._r, self._dx, self._away, self._Ma = np.empty((5, *X.shape))
-        self._constant_forces = 0.0  # the size [N] of those that do not depend on x
+        self._constant_forces = 0.0  # the size [N] of the forces that do not depend on x
 
     def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
         """Return x and v at the minimum of phi; raises SolveError with the residual at the limit of iterations."""
@@ -103,7 +103,7 @@ class Converged:
         return advance(self.body, stage, v), v, StepReport(work)
 
     def descend(self, start: Floats, stage: Stage, limit: int) -> _Descent:
-        """Return the end of at most `limit` iterations from start (n, d); the next descent overwrites its x."""
+        """Return the outcome of at most `limit` iterations from start (n, d); the next descent overwrites its x."""
         self._begin(stage)
         return self._descend(start, stage, limit)
 
@@ -167,7 +167,7 @@ class Converged:
         return _norm(r) / max(size, floor)
 
     def _find_direction(self, relative: float, stage: Stage) -> Work:
-        """Compute the Newton step dx (n, d); near the end by the exact tangent if that is positive definite."""
+        """Compute the Newton step dx (n, d); near the end with the exact tangent if that is positive definite."""
         kind = self.limits.tangent
         if kind != "projected" or relative >= _NEAR:
             return self._solve_for_dx(kind, stage)
@@ -180,7 +180,7 @@ class Converged:
         return work + self._solve_for_dx(kind, stage)
 
     def _solve_for_dx(self, kind: Tangent, stage: Stage) -> Work:
-        """Make (M/h^2 + K) dx = r on the free nodes."""
+        """Solve (M/h^2 + K) dx = r on the free nodes."""
         work = self.system.linearize(self._x, stage.h, kind=kind)
         np.multiply(self._r, stage.h**2, out=self.system.b)
         self._dx[:] = 0.0
@@ -189,7 +189,7 @@ class Converged:
     def _search(self, terms: _Terms, slope: float, stage: Stage) -> _Terms | None:
         """Move x to x + s dx with the first s of 1, 1/2, … that lowers phi enough; return the terms of phi there.
 
-        If there is no such s, x stays and None is returned.
+        If there is no such s, x stays as it is and None is returned.
         """
         # at the solution phi changes by less than its rounding; a step that promises less than that is taken whole
         phi, noise, s = sum(terms), self._noise(terms), 1.0

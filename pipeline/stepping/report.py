@@ -17,7 +17,7 @@ class ModelChoice(NamedTuple):
     indicator: float
 
 
-@dataclass(slots=True)  # not frozen, as Work: both are made in every step
+@dataclass(slots=True)  # not frozen, like Work: both are made in every step
 class StepReport:
     """The work of one step, and its choice of a model if the method makes one. The caller owns it."""
 

@@ -1,13 +1,13 @@
 r"""One implicit stage, which backward Euler and BDF2 share, and two ways to solve it.
 
-    find v:   M (v - v_h) = h (f_ext + f_el(x_h + h v)),    x = x_h + h v,    supported nodes given
+    find v:   M (v - v_h) = h (f_ext + f_el(x_h + h v)),    x = x_h + h v,    supported nodes prescribed
 
-Linearized at x* with the stiffness K = -df_el/dx of the rotations there (correction to T 6.12-6.16: + f_0):
+Linearized at x* with the stiffness K = -df_el/dx for the rotations there (correction to T 6.12-6.16: + f_0):
 
     (M + h^2 K) v = M v_h + h (f_ext + f_el(x*) - K (x_h - x*))
 
-    Prefactored     constant K: one factor for the whole run, one substitution a step (linear law; any x* is exact)
-    FrozenPasses    k such solves with K = sum_e R K_e R^T, each at the positions that the one before reached;
+    Prefactored     constant K: one factor for the whole run, one substitution per step (linear law; any x* is exact)
+    FrozenPasses    k such solves with K = sum_e R K_e R^T, each at the positions that the previous one reached;
                     k = 1 is the thesis' method ("warped stiffness"), k > 1 Newton with the frozen tangent
 
 Both are unconditionally stable for the linear law. One solve uses the rotations of the state that it starts from: a
@@ -27,7 +27,7 @@ from pipeline.linear.work import Work
 from pipeline.stepping.report import StepReport
 
 
-class Stage(NamedTuple):  # a frozen dataclass takes a microsecond more to make, of 40 in the shortest steps
+class Stage(NamedTuple):  # a frozen dataclass takes a microsecond longer to make, of 40 in the shortest steps
     """The equation above: x_h, v_h (n, d), h [s] and x* = `start` (n, d).
 
     `held` (k, d) are the positions of the held nodes and `load` (n, d) [N] the loads f_ext at the end of the step.
@@ -72,7 +72,7 @@ class StageSystem:
 
     A (v - v*) = M (v_h - v*) + h (f_ext + f_el(x)),    A = M + h^2 K(x)
 
-    is the equation above with h K (x_h - x) = -h^2 K v* brought to the left. A, f and the right-hand side b are
+    is the equation above with h K (x_h - x) = -h^2 K v* moved to the left. A, f and the right-hand side b are
     allocated once, as are the buffers of a solve.
     """
 
@@ -100,12 +100,12 @@ class StageSystem:
 
     @cached_property
     def _nodal_rotations(self) -> Floats:
-        """Return a buffer for the nodes' rotations, which few solvers ask for."""
+        """Return a buffer for the nodes' rotations, for the few solvers that ask for them."""
         d = self.body.mesh.dimension
         return np.empty((len(self.body.mesh.points), d, d))
 
     def solve(self, held: Floats, w: Floats) -> Work:
-        """Make A w = b on the free nodes, w = held (k, d) on the others; w (n, d) is the guess, b and f change."""
+        """Solve A w = b on the free nodes, w = held (k, d) on the others; w (n, d) is the guess; b and f change."""
         body = self.body
         if not body.supports.nodes.size:
             return self.solver.solve(self.b, w)
@@ -134,7 +134,7 @@ class Prefactored:
         self._setup: Work | None = self.system.linearize(body.mesh.points, h)
 
     def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
-        """Return x and v of the one linear system; the linearization at x_h is exact."""
+        """Return x and v from the one linear system; the linearization at x_h is exact."""
         body, system = self.body, self.system
         b = body.momentum(stage.v_h, system.b)
         f = body.force(stage.x_h, out=system.f)
@@ -150,7 +150,7 @@ class Prefactored:
 
 
 class FrozenPasses:
-    """A fixed number of solves, each with the rotations at the positions before it."""
+    """A fixed number of solves, each with the rotations at the positions where it starts."""
 
     chooses_model: ClassVar[bool] = False
 
@@ -170,7 +170,7 @@ class FrozenPasses:
         return advance(self.body, stage, v), v, StepReport(work)
 
     def run_pass(self, x: Floats, stage: Stage, v: Floats, R: Floats | None = None, *, at_x_h: bool) -> Work:
-        """Write into v, which enters as the guess, the solution linearized at x (n, d), with its rotations or with R.
+        """Write the solution linearized at x (n, d), with its rotations or R, into v, which enters as the guess.
 
         `at_x_h` says that x is x_h: then v* is zero, and nothing is subtracted.
         """

@@ -1,4 +1,4 @@
-"""The state that a stepper advances, and what is carried from step to step beside positions and velocities."""
+"""The state that a stepper advances, and the memory carried from step to step besides positions and velocities."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from pipeline.stepping.report import StepReport
 
 
 class EnergyRecord(NamedTuple):
-    """The energy guard's numbers: energy at the start [J], |work of supports| since [J], bad steps in a row."""
+    """The energy guard's numbers: energy at the start [J], |work of supports| since then [J], bad steps in a row."""
 
     start: float
     supplied: float
@@ -20,7 +20,7 @@ NO_ARRAYS: Mapping[str, Floats] = {}
 
 
 class Memory(NamedTuple):
-    """The part of a state beside x and v; each field is read and changed by its owner alone and passed on by others.
+    """The part of a state besides x and v; each field is read and changed by its owner alone and passed on by others.
 
     `stepper` has the arrays of the stepper by name, `inversion` those of the treatment of inverted cells; `energy`
     belongs to the energy guard.

@@ -1,7 +1,7 @@
 r"""Symplectic Euler (W): v += dt/m (f_el(x) + f_ext), x += dt v, with lumped masses; no matrix.
 
-Order 1, but no damping: energy oscillates about its value. Stable for dt < 2 / omega_max only. Not for stiff bodies
-with large steps; no step is cheaper.
+Order 1, but no damping: energy oscillates about its true value. Stable only for dt < 2 / omega_max. Not for stiff
+bodies with large steps; no other method has a cheaper step.
 
     element bound    omega_max <= max_e omega_e, the largest frequency of a cell alone, free, with its lumped mass
     true limit       omega_max of the whole body at rest, supports held (Lanczos)
@@ -26,7 +26,7 @@ from pipeline.stepping.state import NO_ARRAYS, Memory, State
 
 @dataclass(eq=False)
 class SymplecticEuler:
-    """A stepper; it does not check its own limit, `pipeline.build` does."""
+    """A stepper that does not check its own limit: `pipeline.build` does."""
 
     chooses_model: ClassVar[bool] = False
 
@@ -39,7 +39,7 @@ class SymplecticEuler:
 
         self._kick = kick
         self._dt_over_mass = self.dt / self.body.lumped_mass
-        # kernels are compiled, or loaded, here and not in a timed step
+        # kernels are compiled or loaded here, not in a timed step
         self.body.warm_up(solves=False)
         none = np.zeros_like(self.body.load[:0])
         held = self.body.supports.nodes[:0]

@@ -5,7 +5,7 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def kick(f, load, dt_over_mass, x, v, dt, held, where, x_new):
-    """Turn f (n, d) into the velocities v + dt/m (f + load), x_new into x + dt times these.
+    """Turn f (n, d) into the velocities v + dt/m (f + load), and x_new into x + dt times these.
 
     Held nodes go to the positions `where` (k, d).
     """
