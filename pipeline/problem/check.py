@@ -16,14 +16,15 @@ from pipeline.stepping.symplectic_euler import element_limit, true_limit
 
 # cells; the eigenvalues of larger bodies take longer than most runs
 _MODE_LIMIT = 200_000
-_HUNDREDTH = 0.01  # of critical damping, of a period: above it a smaller dt is suggested
+_HUNDREDTH = 0.01  # of critical damping, and of a period: above these a smaller dt is suggested
 
 
 @dataclass(frozen=True)
 class Check:
-    """Counts, volumes [m3], quality (1 is regular), speed of pressure waves [m/s], lowest frequency [rad/s], z = omega
-    dt, the damping ratio and phase lag [degrees a period] that the stepper gives that mode (NaN for symplectic Euler),
-    and the steps [s] below which symplectic Euler is stable: by a bound over the cells, and the limit itself.
+    """Counts, volumes [m3], quality (1 is regular), speed of pressure waves [m/s] and lowest frequency omega_1 [rad/s].
+
+    z is omega_1 dt; `damping` and `phase_lag` [degrees per period] are the stepper's effect on that mode, NaN for
+    symplectic Euler, which is stable below `explicit_limit` [s] and, by a bound over the cells, `explicit_bound` [s].
     """
 
     dimension: int
@@ -147,5 +148,5 @@ def _damping(factor: Callable[[float], complex], z: float) -> float:
 
 
 def _phase_lag(factor: Callable[[float], complex], z: float) -> float:
-    """Return the phase [degree] by which such a mode lags after one of its periods."""
+    """Return the phase [degree] by which a mode that a step multiplies by factor(z) lags after one period."""
     return 360 * (1 - phase(factor(z)) / z)

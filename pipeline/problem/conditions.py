@@ -97,7 +97,7 @@ def _read_axis(case: Case, key: str, spin: SpinSpec, d: int) -> Floats:
     axis = np.array(spin.axis, dtype=np.float64)
     if d == 2 and axis[:2].any():
         raise case.make_error(f"{key}.axis", f"{list(spin.axis)} is not along z; the mesh is planar")
-    axis /= np.abs(axis).max()  # the square of a tiny component would be zero
+    axis /= np.abs(axis).max()  # the square of a tiny component would underflow
     return np.asarray(axis / np.linalg.norm(axis))
 
 
@@ -161,7 +161,7 @@ _LOAD_FIELDS: dict[str, Callable[[Mesh, Floats], Floats]] = {
 
 
 def make_initial_state(case: Case, body: Body) -> State:
-    """Return the initial state: rest positions, the case's velocity and spin, and the supports' on held nodes."""
+    """Return the initial state: rest positions, the case's velocity and spin, and the supports' for held nodes."""
     mesh, initial = body.mesh, case.initial
     d = mesh.dimension
     v = np.broadcast_to(read_vector(case, "initial.velocity", initial.velocity, d), mesh.points.shape)

@@ -35,7 +35,7 @@ def case_schema() -> dict[str, Any]:
 
 
 def iterate_keys(schema: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the dotted key and the schema of every key of a case file; entries of a list have [] behind its key."""
+    """Yield the dotted key and the schema of every key of a case file; list entries have [] after the list's key."""
 
     def descend(properties: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, dict[str, Any]]]:
         for name, entry in properties.items():
@@ -94,7 +94,7 @@ def _owner(key: str, schema: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _without_null(node: Any) -> Any:
-    """Return a schema in which an optional key has only its own type: TOML has no null. Titles go as well."""
+    """Return a schema in which an optional key has only its own type: TOML has no null. Titles are dropped too."""
     if isinstance(node, list):
         return [_without_null(item) for item in node]
     if not isinstance(node, dict):

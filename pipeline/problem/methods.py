@@ -1,4 +1,4 @@
-"""The tables: the names that a case may use for the parts of its method, these parts, and a line about each.
+"""The tables: the names that a case may use for the parts of its method, the parts themselves, and a line about each.
 
 A new law, rotation, stepper, linear solver or shape is one file and one row here; `pipeline methods`, the schema and
 the checks of a case read these tables.
@@ -58,7 +58,7 @@ class StepperChoice(Choice[Callable[[Body, float, StepperParts], Stepper]]):
 
 @dataclass(frozen=True)
 class ModelMode:
-    """Whether each step chooses its own model; law, rotation and iterations of the case are then not used."""
+    """Whether each step chooses its own model; if so, the case's law, rotation and iterations are not used."""
 
     chooses_model: bool
     description: str
@@ -107,11 +107,11 @@ STEPPERS: Mapping[str, StepperChoice] = {
     ),
 }
 IMPLICIT_STEPPERS = tuple(name for name, row in STEPPERS.items() if row.is_implicit)
-# of steppers that are stable only below a step [s]: a cheap lower bound of the limit, and the limit itself
+# for steppers that are stable only below some step [s]: a cheap lower bound on the limit, and the limit itself
 STEP_LIMITS: Mapping[str, tuple[Callable[[Body], float], Callable[[Body], float]]] = {
     "symplectic_euler": (element_limit, true_limit),
 }
-# the factor by which a step of an implicit one multiplies a mode of the linear law with z = omega dt
+# the factor by which a step of an implicit stepper multiplies a mode of the linear law with z = omega dt
 MODE_FACTORS: Mapping[str, Callable[[float], complex]] = {
     "backward_euler": backward_euler.mode_factor,
     "bdf2": bdf2.mode_factor,
@@ -169,7 +169,7 @@ SHAPES: Mapping[str, Choice[Callable[[Sequence[float], Sequence[int], str], Mesh
 
 
 def describe_choices() -> dict[str, dict[str, str]]:
-    """Return the names that each key of a case file can have, with a line about each."""
+    """Return the names that each key of a case file can take, with a line about each."""
     tables: Mapping[str, Mapping[str, Choice[Any] | ModelMode | str]] = {
         "method.model": MODELS,
         "method.law": LAWS,
@@ -193,7 +193,7 @@ def describe_choices() -> dict[str, dict[str, str]]:
 class MethodTraits:
     """Properties of a method, from its rows.
 
-    `is_linear` and `is_converged` (Newton's method to a tolerance) are about a method that does not choose its model.
+    `is_linear` and `is_converged` (Newton's method to a tolerance) apply only to methods that do not choose a model.
     """
 
     is_explicit: bool

@@ -48,17 +48,17 @@ def make_case(
     document: dict[str, Any] = {"name": name, "material": material, "schedule": schedule, **sections}
     document["mesh"] = _describe_mesh(mesh, path) if not isinstance(mesh, Mapping) else mesh
     case = validate_case(document, path)
-    given = _Given(
+    describer = _Describer(
         path, build_mesh(case).points, case.schedule.dt * case.schedule.steps_per_frame * case.schedule.frames
     )
-    document["supports"] = [given.describe_support(f"supports.{i}", support) for i, support in enumerate(supports)]
-    document["loads"] = given.describe_loads(loads or {})
-    document["initial"] = given.describe_initial(initial or {})
+    document["supports"] = [describer.describe_support(f"supports.{i}", support) for i, support in enumerate(supports)]
+    document["loads"] = describer.describe_loads(loads or {})
+    document["initial"] = describer.describe_initial(initial or {})
     return validate_case(document, path)
 
 
-class _Given:
-    """Turns the arrays and functions of one case into values of its sections."""
+class _Describer:
+    """Turns the arrays and functions of one case into values for its sections."""
 
     def __init__(self, path: Path, points: Floats, end: float) -> None:
         self.path, self.points = path, points

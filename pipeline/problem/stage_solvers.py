@@ -1,4 +1,4 @@
-"""Steppers made from a method: their stage solvers, linear solvers and treatments, by the tables of methods.py."""
+"""Steppers made from a method: their stage solvers, linear solvers and treatments, from the tables in methods.py."""
 
 from dataclasses import dataclass
 from typing import cast
@@ -27,7 +27,7 @@ from pipeline.stepping.state import Stepper
 
 @dataclass(frozen=True, eq=False)
 class MethodParts:
-    """Makes the parts of a stepper that a method names."""
+    """Makes the stepper parts that a method names."""
 
     body: Body
     method: MethodSpec
@@ -41,7 +41,7 @@ class MethodParts:
         make = INVERSIONS[self.method.inversion].part
         if make is None:
             return None
-        polar(np.eye(self.body.mesh.dimension)[None])  # its kernel is compiled, or loaded, here
+        polar(np.eye(self.body.mesh.dimension)[None])  # its kernel is compiled or loaded here
         return make()
 
 
@@ -105,7 +105,7 @@ def _make_linear_solver(
     make = LINEAR_SOLVERS[method.linear_solver].part
     if make is None:
         make = LINEAR_SOLVERS[choose_solver(systems.band, constant=constant, stiffness=stiffness)[0]].part
-        assert make is not None  # choose_solver names a row that has one
+        assert make is not None  # choose_solver names only rows that have one
     return make(systems)
 
 
