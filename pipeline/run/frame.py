@@ -1,4 +1,4 @@
-"""Frame and the Sink protocol: they join solving with recording, measuring and drawing."""
+"""Frame and the Sink protocol: they connect solving with recording, measuring and drawing."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ class Frame:
     """One instant of a motion: the positions x (n, d) [m] of the nodes of a rest mesh, and velocities v [m/s].
 
     `known` are the values that only the solver knows (energies, momenta, iterations), by the names of
-    `measures.VARIABLES` and `STEPS`; `work` is that since the previous frame. A frame of a foreign series has none of
+    `measures.VARIABLES` and `STEPS`; `work` is the work since the previous frame. A foreign series has none of
     them: `known` is empty, and step, v, work and state are None.
     """
 

@@ -25,11 +25,11 @@ AfterStep = Callable[[State, Effort], None]
 def frames(
     problem: Problem, start: State | None = None, *, effort: Effort | None = None, after_step: AfterStep | None = None
 ) -> Iterator[Frame]:
-    """Yield the start's frame and one every steps_per_frame steps, to the end of the schedule.
+    """Yield a frame of the start and one every steps_per_frame steps, to the end of the schedule.
 
     Raises SolveError if a step fails, after the frames before it. The first frame's `work.seconds` is the set-up time.
     To resume a run, pass a `start` and the `effort` since the last written frame; a start between two frames yields
-    nothing for itself. `after_step` gets each new state and the effort since the last frame, before its frame is made.
+    no frame of its own. `after_step` gets each new state and the effort since the last frame, before its frame is made.
     """
     state = problem.start if start is None else start
     began = time.perf_counter()
@@ -49,11 +49,11 @@ def frames(
 
 
 def _run_step(stepper: Stepper, state: State) -> tuple[State, StepReport]:
-    """Return the next state and its report, with seconds; raises SolveError with step and time."""
+    """Return the next state and its report, with seconds; raises SolveError that names step and time."""
     began = time.perf_counter()
     at = f"at step {state.step + 1}, t = {(state.step + 1) * stepper.dt:g} s"
     try:
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below finds what overflows
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below detects overflow
             new, report = stepper.step(state)
     except SolveError as error:
         raise SolveError(f"{error} ({at})") from error
@@ -83,7 +83,7 @@ def _make_frame(problem: Problem, state: State, effort: Effort, *, stepwise: boo
 def _list_choices(effort: Effort, count: int) -> dict[str, Floats]:
     """Return the choices of the last `count` steps, by the names of measures.VARIABLES and STEPS.
 
-    Every frame has as many numbers: those of steps before the first one are NaN.
+    Every frame has `count` numbers: those for steps before the first one are NaN.
     """
     rung = max((choice.rung for choice in effort.choices), default=0)
     indicator = max((choice.indicator for choice in effort.choices), default=0.0)

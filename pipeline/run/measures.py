@@ -1,6 +1,6 @@
 """The numbers of one frame, and the table of every variable in files and datasets.
 
-Pure functions: sinks measure the frames of a run with them, and an analysis those of any other series.
+Pure functions: sinks use them to measure the frames of a run, and an analysis those of any other series.
 """
 
 from collections.abc import Mapping
@@ -98,7 +98,7 @@ def measure_cells(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
 
 
 def measure_cells_by_numpy(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
-    """Return the same as `measure_cells`: the reference of the compiled one, and the way of triangles."""
+    """Return the same as `measure_cells`: the reference for the compiled kernel, also used for triangles."""
     return signed_volumes(x, mesh.cells), angle(polar(deformation_gradient(mesh, x)))
 
 

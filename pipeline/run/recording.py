@@ -94,16 +94,16 @@ class Watcher(Protocol):
         ...
 
     def drain(self) -> None:
-        """Return when every frame taken is written; raises the failure of one of them."""
+        """Return when every frame taken has been written; raises the failure of one of them."""
         ...
 
     def close(self) -> None:
-        """End after all frames taken; raises the first failure."""
+        """Finish all frames taken; raises the first failure."""
         ...
 
 
 def drive(source: Iterator[Frame], watcher: Watcher) -> None:
-    """Hand frames to a watcher; closes it in any case."""
+    """Hand frames to a watcher, and close it in any case."""
     try:
         for frame in source:
             watcher.take(frame)
