@@ -1,4 +1,4 @@
-"""The formats in which the frames of a run can be written: a row each."""
+"""The formats in which the frames of a run can be written: one row each."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ class FrameFormat:
     """The sink that writes frames into a folder, and the place of each frame there."""
 
     index: str  # the file that readers open
-    make_sink: Callable[[Path, Sequence[float], Precision, int], Sink]  # (folder, times of frames there, _, all frames)
+    make_sink: Callable[[Path, Sequence[float], Precision, int], Sink]  # (folder, earlier times, precision, frames)
     locate: Callable[[int], tuple[str, int]]  # index of a frame -> its file, and its step in that file
     module: str = ""  # the package that must be installed
-    extra: str = ""  # of ours, that installs it
+    extra: str = ""  # our extra that installs it
 
 
 FORMATS: Mapping[str, FrameFormat] = {

@@ -53,7 +53,7 @@ class NetcdfSink:
 
     def _write_steps(self, last: int, measured: Values) -> None:
         """Append the numbers of the steps since the previous frame; there are none before the first."""
-        for name in [name for name in STEPS if name in measured] if last else ():  # in this order: the same bytes
+        for name in [name for name in STEPS if name in measured] if last else ():  # in this order, for the same bytes
             first = last - len(measured[name])
             self._dataset[name][first:last] = measured[name]
             self._dataset["step"][first:last] = np.arange(first, last) + 1
@@ -78,7 +78,7 @@ class NetcdfSink:
 
 
 def _limit_caches(dataset: Any) -> None:
-    """Let each field of cells keep two chunks in memory, as chunks are not read again; the default is many.
+    """Let each field of cells keep two chunks in memory, because chunks are not read again; the default is many.
 
     Masks, which no variable here has, are not looked for.
     """

@@ -1,4 +1,4 @@
-"""Frames in one temporal .vtkhdf, which stays readable after every kill; formats.vtkhdf describes how."""
+"""Frames in one temporal .vtkhdf, which stays readable even after a kill; formats.vtkhdf describes how."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -56,7 +56,7 @@ class VtkhdfSink:
                 file.close()
 
     def _lay_out(self, frame: Frame, arrays: Fields, room: int) -> VtkhdfFile:
-        """Return a file with room and the frames so far; without any the first frame is listed too."""
+        """Return a file with room for more and the frames so far; if there are none, this frame is listed already."""
         mesh: Mesh = frame.mesh
         rest = make_rest_positions(mesh, self.precision)
         times = self._times or [frame.time]

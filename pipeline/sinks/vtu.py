@@ -14,7 +14,7 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame, Values
 from pipeline.sinks.fields import Precision, make_frame_fields, make_rest_positions
 
-_INDEX_SECONDS = 1.0  # the index grows with the run; written every frame it would cost the square of it
+_INDEX_SECONDS = 1.0  # the index grows with the run; writing it with every frame would cost the square of that
 
 
 class VtuSink:
@@ -62,5 +62,5 @@ class VtuSink:
 
 
 def name_frame_file(index: int) -> str:
-    """Name of a frame's file within the folder of the run."""
+    """Return the name of a frame's file within the folder of the run."""
     return f"frames/frame_{index:06d}.vtu"

@@ -1,4 +1,4 @@
-"""Writing beside solving, in a separate process: it measures and writes frames while the next ones are solved.
+"""Writing in a separate process, which measures and writes frames while the next ones are solved.
 
 A thread would share the interpreter's lock with the solver, and both make many short calls: at 10 000 cells a thread
 took half as long again as the longer of the two. Frames wait in a pipe between the processes; answers come back.
@@ -22,18 +22,18 @@ from pipeline.run.recording import OnFrame, Recording, RunSummary
 from pipeline.system.channel import Channel
 from pipeline.system.child import ChildProcess
 
-# cells: below, handing a frame over costs the solver more than writing it (measured from 192 on)
+# cells: below this, handing a frame over costs the solver more than writing it (measured from 192 on)
 WORTH_A_PROCESS = 1000
 _SENT_FIELDS = ("index", "time", "x", "step", "v", "known", "work")  # of each frame; the mesh is sent once, before
 _get_fields = attrgetter(*_SENT_FIELDS)
-_PATIENCE = 10.0  # [s] for a process without work to end
+_PATIENCE = 10.0  # [s] for an idle process to end
 
 
 class WriterProcess:
     """A process that records one run after another; it starts with the first one and ends with `close`.
 
-    If this process ends in any other way, it ends after the frame under way. The descriptor `keep` stays open as long
-    as it lives: a lock held by it outlives this process until nothing more is written.
+    If the parent ends in any other way, this process ends after the frame under way. It keeps the descriptor `keep`
+    open as long as it lives: a lock held through it outlives the parent until nothing more is written.
     """
 
     def __init__(self, *, keep: int | None = None) -> None:
