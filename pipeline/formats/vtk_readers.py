@@ -104,7 +104,7 @@ def make_grid(data: Any, file: Path) -> Grid:
     if isinstance(grid, pyvista.PolyData):
         grid = grid.cast_to_unstructured_grid()
     if not isinstance(grid, pyvista.UnstructuredGrid):
-        raise SeriesError(f"{file}: holds a {type(grid).__name__}, not an unstructured grid")
+        raise SeriesError(f"{file}: contains a {type(grid).__name__}, not an unstructured grid")
     if "vtkGhostType" in grid.cell_data:  # pieces of a .pvtu overlap there
         grid = grid.extract_cells(np.asarray(grid.cell_data["vtkGhostType"]) == 0)
     points = np.asarray(grid.points, dtype=np.float64)

@@ -136,7 +136,7 @@ def _format_mode(check: Check, stepper: str) -> list[str]:
     return [
         f"damping      {stepper} damps that mode by {100 * check.damping:.3g} % of critical"
         + suggest(_damping, _HUNDREDTH, ""),
-        f"phase        it lags by {check.phase_lag:.3g} degrees a period"
+        f"phase        the mode lags by {check.phase_lag:.3g} degrees a period"
         + suggest(_phase_lag, 360 * _HUNDREDTH, "of a period "),
     ]
 

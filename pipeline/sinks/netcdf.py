@@ -33,7 +33,7 @@ class NetcdfSink:
                 self._append(frame, measured)
         except UnicodeError as error:
             raise OutputError(
-                f"{self.path}: the locale's encoding, which netCDF uses, lacks letters of this name; "
+                f"{self.path}: the locale's encoding, which netCDF uses, lacks characters of this name; "
                 "set PYTHONUTF8=1, or choose another folder"
             ) from error
         except (OSError, RuntimeError) as error:

@@ -34,7 +34,7 @@ from tests.bodies import METHODS, list_states, make_solid, make_spin, make_thesi
 
 NUMBER = PublishedNumber("bar: largest volume", "2.0", 2.0, 0.02, "T 1.2", "bar", "linear", "largest_volume")
 SECTIONS = (
-    "Published numbers", "Statements of the thesis", "Times a step: tables 7.1 and 7.2", "Every scene and variant",
+    "Published numbers", "Statements of the thesis", "Time per step: tables 7.1 and 7.2", "Every scene and variant",
     "Figures", "The law of spurious volume", "Damping", "Corrections to the seeds", "Made by",
 )  # fmt: skip
 

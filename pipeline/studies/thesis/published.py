@@ -102,7 +102,7 @@ NUMBERS: tuple[PublishedNumber, ...] = (
                  THESIS_METHOD,
                  remark="1.27 is the linear value; 0.18 may be a misprint of 0.28, which would give 1.17"),
     _make_volume("bar, f = 40, corotational: largest volume [m3]", "1.45", "T 7.1.2", "bar", THESIS_METHOD,
-                 remark="with the factor it falls in the first step, which uses the rotations at rest: none is tested"),
+                 remark="with the factor it occurs in the first step, which uses rotations at rest: none is tested"),
     _make_volume("bar, corotational: f = 40 minus f = 20 [m3]", "0.18", "T 7.1.2", "bar", THESIS_METHOD,
                  less="bar_small", remark="it may be a misprint of 0.28"),
     _make_count("mushroom", "nodes", "nodes", 219, "T 5.2"),

@@ -104,17 +104,17 @@ def _make_opening(verdicts: Sequence[tuple[str, str]], scenes: Mapping[str, Thes
         Paragraph(
             "The seeds are a thesis (T: linear and corotational finite elements on tetrahedra, backward Euler) and a "
             "web page (W: corotated finite elements on triangles, symplectic Euler). Every number that they publish is "
-            "compared with ours below. **As printed**: with the parameters that the seed states. **With factor**: with "
-            "one of them multiplied by a number that was fitted to one published value and has no derivation. **Other "
-            "hardware**: the published result depends on the speed of another machine than ours, so that a different "
-            "one neither confirms nor refutes it."
+            "compared with ours below. **As printed**: with the parameters that the seed gives. **With factor**: with "
+            "one of them multiplied by a number that was fitted to one published value, not derived. **Other "
+            "hardware**: the published result depends on the speed of a machine other than ours, so our "
+            "different result neither confirms nor refutes it."
         ),
         TableBlock(("verdict", "count"), rows, "Published numbers, statements and times"),
         Paragraph(f"Factors: {'; '.join(factors) or 'none'}."),
         Paragraph(
-            "Unknown, and chosen by us: the meshes of mushroom and armadillo (with the counts of the thesis, but other "
-            "shapes), the armadillo's size and supports, and all parameters of the web page, which states none and "
-            "publishes no number."
+            "Unknown, and chosen by us: the meshes of the mushroom and the armadillo (same counts as in the thesis, "
+            "other shapes), the armadillo's size and supports, and all parameters of the web page, which gives none "
+            "and publishes no numbers."
         ),
     ]
 
@@ -134,9 +134,9 @@ def _make_numbers(findings: Sequence[Finding]) -> list[Block]:
     return [
         Heading("Published numbers"),
         Paragraph(
-            "The corotational numbers are those of the thesis' own method: one linear solve a step, rotations by "
-            "Gram-Schmidt. A volume counts as reproduced within 1 %, an iteration within one, a count only exactly. "
-            "The verdict has the deviation of the value itself, not of its growth over 1."
+            "The corotational numbers are those of the thesis' own method: one linear solve per step and "
+            "rotations by Gram-Schmidt. A volume counts as reproduced within 1 %, an iteration within one, a count "
+            "only exactly. The verdict states the deviation of the value itself, not of its growth over 1."
         ),
         TableBlock(("quantity", "published", "where", "as printed", "with factor", "verdict"), rows),
     ]
@@ -166,14 +166,14 @@ def _make_times(rows: Sequence[Sequence[str]]) -> list[Block]:
     )  # fmt: skip
     half = len(rows) // 2
     return [
-        Heading("Times a step: tables 7.1 and 7.2"),
+        Heading("Time per step: tables 7.1 and 7.2"),
         Paragraph(
             "Times depend on the machine and the program. The thesis used MATLAB on hardware that it does "
             f"not name; ours ran on this machine ({platform.system()} {platform.machine()}, {_read_processor()}), "
-            "compiled libraries under Python, solving only, without measuring and writing, "
+            "with compiled libraries under Python, and counts solving only, without measuring and writing, "
             f"OMP_NUM_THREADS = {os.environ.get('OMP_NUM_THREADS', 'not set')}. A real-time factor is Δt over the "
             "time of a step: above 1 the motion is computed faster than it happens. The counts are equal; the meshes "
-            "of mushroom and armadillo are ours."
+            "of the mushroom and the armadillo are ours."
         ),
         TableBlock(head, rows[:half], "Table 7.1: linear, backward Euler (scenes as printed)"),
         TableBlock(head, rows[half:], "Table 7.2: corotational, one solve a step (scenes as printed)"),
@@ -211,7 +211,7 @@ def _make_figures(scenes: Mapping[str, ThesisScene], folder: Path) -> tuple[list
         Heading("Figures"),
         Paragraph(
             "The thesis plots the volume of every tetrahedron over time, with and without the corotational correction, "
-            "and shows the body at some iterations. Ours follow: as printed, then with the factor."
+            "and shows the body at some iterations. Ours follow, first as printed, then with the factor."
         ),
     ]
     for figures in FIGURES:

@@ -186,7 +186,7 @@ def _list_lines(table: ErrorTable, summary: dict[str, Any], worst: AutoVerdict |
     if reference.mesh is not None:
         lines.append(
             f"finest mesh: cells x {plan.refinements[-1]}; its own error is about {_format_error(reference.mesh)}, "
-            "if errors fall with the square of the cells' size"
+            "if errors fall with the square of the cell size"
         )
     if parts is not None:
         text = ", ".join(f"{name} {_format_error(parts[name])}" for name in ("model", "dt", "mesh"))
