@@ -1,6 +1,6 @@
 """Finds the OpenGL window class that VTK can draw with on this machine, without ever crashing this process.
 
-VTK's wheels contain no OpenGL. If the system has none, the first picture ends the whole process with a segmentation
+VTK's wheels contain no OpenGL. If the system has none, the first picture kills the whole process with a segmentation
 fault, whatever the window class; so each class is tried in a child process that draws one flat color and reads it back.
 """
 
