@@ -1,1 +1,1 @@
-"""Files to plain arrays and back, a module a format; foreign files are checked, then read by a child process."""
+"""Files to plain arrays and back, one module per format; foreign files are checked, then read by a child process."""

@@ -20,7 +20,7 @@ CONVENTIONS = "CF-1.11"
 
 
 class NetcdfVariable(NamedTuple):
-    """A variable or coordinate to create: float64 without compression unless `dtype` says otherwise.
+    """A variable or coordinate to create: uncompressed, and float64 unless `dtype` says otherwise.
 
     `chunks` are the sizes of a chunk along each dimension; without them the library chooses. `values`, if given, are
     written at once. Values that are never written read as `fill_value`.

@@ -1,4 +1,4 @@
-"""Checks of a file's own claims before it is read: counts against its size, entities, names of other files."""
+"""Checks a file's own claims before it is read: counts against its size, entities, names of other files."""
 
 import re
 from collections.abc import Iterator

@@ -14,7 +14,7 @@ from pipeline.formats.xdmf import read_xdmf, read_xdmf_times
 
 
 class FrameReader(NamedTuple):
-    """Reads one instant of a file, and the times [s] stored in it, None if there are none."""
+    """Reads one instant of a file, and the times [s] stored in it (None if there are none)."""
 
     read: Callable[[Path, int], Grid]
     read_times: Callable[[Path], list[float] | None]

@@ -1,9 +1,9 @@
 """Inline .vtu files, as most programs write them: numbers within the XML, in base64, plain or compressed with zlib.
 
 VTK reads these too, but always every array of a file, and it has to be loaded first. Here an array is decoded on
-access, and cells encoded like those of the previous frame are not decoded at all. Every other kind of file
-(appended, ASCII, several pieces, ghost cells, polyhedra), and every inconsistent one, is left to VTK. Only Python and
-numpy handle the bytes, so a damaged file cannot crash the process. The writer is vtu_write.
+access, and cells encoded like those of the previous frame are not decoded at all. Every other kind of file (appended,
+ASCII, several pieces, ghost cells, polyhedra), and every inconsistent one, is left to VTK. Only Python and numpy handle
+the bytes, so a damaged file cannot crash the process. The writer is vtu_write.
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
 """
 
@@ -196,7 +196,7 @@ class _Encoding(NamedTuple):
     order: str
     header: str
     compressed: bool
-    texts: dict[bytes, bytes]  # those of _take_out_texts
+    texts: dict[bytes, bytes]  # from _take_out_texts
 
 
 def _pack(array: ElementTree.Element, tuples: int | None, encoding: _Encoding) -> Packed:

@@ -31,7 +31,7 @@ def read_xdmf(file: Path, step: int) -> Grid:
     collection = _open_collection(file, file.stat().st_mtime_ns)
     try:
         _, point_data, cell_data = collection.reader.read_data(step)
-    except Exception as error:  # meshio lets through whatever its parsers raise
+    except Exception as error:  # meshio passes on whatever its parsers raise
         raise SeriesError(
             f"{file}: step {step} cannot be read ({type(error).__name__}: {shorten(str(error), 200)})"
         ) from error
