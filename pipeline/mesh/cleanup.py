@@ -63,7 +63,7 @@ def check_points(points: Floats) -> None:
 def orient_cells(points: Floats, cells: Ints) -> tuple[Ints, list[str]]:
     """Return the cells, reoriented if there are at least two and all are mirrored, and a note in that case.
 
-    A single mirrored cell may just as well be inverted, since it has no neighbor to compare: it is left as it is.
+    A single mirrored cell may just as well be inverted, since no neighbor can tell the two apart: it is left alone.
     """
     if len(cells) < 2 or not (signed_volumes(points, cells) < 0).all():
         return cells, []

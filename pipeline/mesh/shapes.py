@@ -18,12 +18,12 @@ _BYTES = 270  # per simplex of a complete body, measured with 100 000 and 800 00
 
 
 def box(size: Sequence[float], cells: Sequence[int], split: str = "kuhn") -> Mesh:
-    """Return the box [0, size] in cells of 6 tetrahedra: 3 sizes [m], 3 counts. Kuhn's split has one diagonal."""
+    """Return a box [0, size] in cells of 6 tetrahedra: 3 sizes [m], 3 counts. Kuhn's split: one diagonal direction."""
     return _mesh_grid(size, cells, split, dimension=3, name="box")
 
 
 def rectangle(size: Sequence[float], cells: Sequence[int], split: str = "kuhn") -> Mesh:
-    """Return the rectangle [0, size] in cells of 2 triangles: 2 sizes [m], 2 counts."""
+    """Return a rectangle [0, size] in cells of 2 triangles: 2 sizes [m], 2 counts."""
     return _mesh_grid(size, cells, split, dimension=2, name="rectangle")
 
 
