@@ -4,8 +4,8 @@ r"""Constitutive laws of one cell: energy density W, first Piola-Kirchhoff stres
     linear          eps = sym(F) - I           2 mu eps + lam tr(eps) I           (T 4.29)
     corotational    eps = sym(R^T F) - I       R (2 mu eps + lam tr(eps) I)       (T 6.12; web page, equation 3)
 
-Linear is for small rotations only: a cell rotated by t grows by 1/cos^2 t. Corotational is for large rotations and
-small strains. Neither resists inversion (W is finite at det F = 0), so neither is for large stretches, and linear
+Linear is for small rotations only: a cell rotated by t grows by a factor 1/cos^2 t. Corotational is for large rotations
+and small strains. Neither resists inversion (W is finite at det F = 0), so neither is for large stretches, and linear
 simplices lock near poisson_ratio = 0.5.
 
 With the polar R, R^T F is symmetric and P = 2 mu (F - R) + lam tr(R^T F - I) R. With the Gram-Schmidt R, T's second
@@ -65,7 +65,7 @@ class Law(Protocol):
 
 @dataclass(frozen=True)
 class Linear:
-    """Linear elasticity: the strain of small displacements; a cell rotated by t grows by 1/cos^2 t."""
+    """Linear elasticity: the strain of small displacements; a cell rotated by t grows by a factor 1/cos^2 t."""
 
     material: Material
     constant_tangent = True

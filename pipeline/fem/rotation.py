@@ -32,7 +32,7 @@ class Rotation:
 
 
 def _scale_entries(F: Floats) -> Floats:
-    """Return F over its largest entry so that no square overflows; a zero matrix becomes the identity."""
+    """Return F divided by its largest entry, so that no square overflows; a zero matrix becomes the identity."""
     largest = np.abs(F).max(axis=(-2, -1), keepdims=True)
     zero = largest == 0
     return np.where(zero, np.eye(F.shape[-1]), F / np.where(zero, 1.0, largest))

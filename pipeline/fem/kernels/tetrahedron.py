@@ -1,6 +1,6 @@
 """Compiled kernels for tetrahedra with the corotational or the linear law, on one thread.
 
-In one pass over the cells, each does what laws.py, element.py and assembly.py do in numpy; tests compare the two.
+Each does, in one pass over the cells, the work of laws.py, element.py and assembly.py in numpy; tests compare both.
 Compiled once per machine (cached beside this file), not once per run. `rotation` is POLAR, GRAM_SCHMIDT or, for the
 linear law, IDENTITY.
 
