@@ -1,6 +1,6 @@
 """Preconditioned conjugate gradients on nodal vectors, and the simplest preconditioner: inverse diagonal blocks.
 
-For small steps, in which the mass dominates and few iterations suffice: no factor, little memory, any size of mesh.
+For small steps, in which the mass dominates and few iterations suffice: no factor, little memory, meshes of any size.
 """
 
 from typing import Protocol

@@ -1,7 +1,7 @@
 """The choice of a solver for the systems A x = b on the free nodes of a body: symmetric, of one pattern.
 
 banded     Cholesky of the reverse Cuthill-McKee band: the fastest factor of small meshes
-superlu    sparse LU; a factor per matrix, any conditioning
+superlu    sparse LU; one factor per matrix, at any conditioning
 pardiso    sparse Cholesky of Intel MKL: the fastest direct solver of large meshes
 warped     conjugate gradients with the factor of the rest state, rotated with the body; one factor a run: medium meshes
 multigrid  the same with a multigrid cycle in place of the factor: large meshes

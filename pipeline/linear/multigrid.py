@@ -131,7 +131,7 @@ def _estimate_largest_eigenvalue(A: bsr_array, inverses: Floats) -> float:
 
 
 def _split_lower(A: bsr_array) -> tuple[BlockPattern, Floats]:
-    """Return pattern and values of lower blocks; a zero on the diagonal, a motion that a group lacks, becomes 1."""
+    """Return pattern and values of the lower blocks; a zero on the diagonal, a motion that a group lacks, becomes 1."""
     A.sort_indices()
     d = A.blocksize[0]
     rows = np.repeat(np.arange(len(A.indptr) - 1), np.diff(A.indptr))

@@ -45,7 +45,7 @@ class PardisoFactor:
         self._options = np.zeros(64, dtype=np.int32)
         # not the default options: nested dissection, no refinement, single or double precision
         self._options[[0, 1, 27]] = 1, 2, int(dtype is np.float32)
-        # one, kind of matrix, phase, size, no messages, error
+        # the number 1, kind of matrix, phase, size, no messages, error
         self._numbers = np.array([1, _POSITIVE_DEFINITE, 0, self.size, 0, 0], dtype=np.int32)
         arrays = (self._handle, self._entries, self._indptr, self._indices, self._options, self._numbers)
         # taken now: numpy cannot give addresses while the interpreter shuts down
@@ -73,8 +73,8 @@ class PardisoFactor:
 
     def _call(self, phase: int, b: np.ndarray | None, x: np.ndarray | None) -> None:
         self._numbers[2] = phase
-        handle, entries, indptr, indices, options, one = self._addresses
-        kind, at_phase, size, silent, error = (one + 4 * i for i in range(1, 6))
+        handle, entries, indptr, indices, options, numbers = self._addresses
+        one, kind, at_phase, size, silent, error = (numbers + 4 * i for i in range(6))
         load_mkl().pardiso(
             *map(ctypes.c_void_p, (handle, one, one, kind, at_phase, size, entries, indptr, indices, None, one)),
             *map(ctypes.c_void_p, (options, silent, _find_address(b), _find_address(x), error)),

@@ -1,9 +1,9 @@
 r"""Conjugate gradients with the factor of the rest state, rotated along with the body.
 
-The systems of a motion, M + h^2 sum_e R K_e R^T, differ from that at rest, A_0, mostly by rotations. So A_0 is factored
-once, and Q A_0^-1 Q^T preconditions them all; Q is the block diagonal of the nodal rotations. On the thesis' bar with
-10 000 tetrahedra, to 1e-6, this takes 2 to 10 iterations, and up to 15 if it is thrown three times as hard. No step
-factors anything. The factor is in single precision: it only preconditions.
+The systems of a motion, M + h^2 sum_e R K_e R^T, differ from the one at rest, A_0, mostly by rotations. So A_0 is
+factored once, and Q A_0^-1 Q^T preconditions them all; Q is the block diagonal of the nodal rotations. On the thesis'
+bar with 10 000 tetrahedra, to 1e-6, this takes 2 to 10 iterations, and up to 15 if it is thrown three times as hard.
+No step factors anything. The factor is in single precision: it only preconditions.
 
 For stiff steps of medium meshes; on small ones a banded factor in every step is faster. On large ones a multigrid cycle
 of A_0, rotated the same way, replaces the factor: 12 to 16 iterations at a million tetrahedra instead of 3 to 10, but

@@ -1,4 +1,4 @@
-"""Sparse LU by SuperLU, in symmetric mode with a minimum-degree order of A + A^T; any conditioning."""
+"""Sparse LU by SuperLU, in symmetric mode with a minimum-degree order of A + A^T; works at any conditioning."""
 
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU as Factor
