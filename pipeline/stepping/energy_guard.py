@@ -1,8 +1,8 @@
 """The energy guard: stops a method that blows up while its numbers are still finite.
 
 It raises SolveError if, after each of three steps in a row, kinetic + elastic energy is above 10 x (its initial value
-+ |work of loads and supports| so far, at least a natural scale). The elastic part costs a pass over the
-cells, so it is computed only if the kinetic part alone exceeds a tenth of that bound: a body that blows up moves.
++ |work of loads and supports| so far, at least a natural scale). The elastic part costs a pass over the cells, so it is
+computed only if the kinetic part alone exceeds a tenth of that bound: a body that blows up moves.
 """
 
 import numpy as np

@@ -89,7 +89,7 @@ class Converged:
         self._constant_forces = 0.0  # the size [N] of the forces that do not depend on x
 
     def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
-        """Return x and v at the minimum of phi; raises SolveError with the residual at the limit of iterations."""
+        """Return x and v at the minimum of phi; raises SolveError that names the residual at the iteration limit."""
         self._begin(stage)
         end = self._descend(self._y, stage, min(_PREDICTOR_ITERATIONS, self.limits.iterations))
         work = end.work

@@ -11,7 +11,7 @@ Linearized at x* with the stiffness K = -df_el/dx for the rotations there (corre
                     k = 1 is the thesis' method ("warped stiffness"), k > 1 Newton with the frozen tangent
 
 Both are unconditionally stable for the linear law. One solve uses the rotations of the state that it starts from: a
-cell that turns by t in the step gains a volume of tan^2 t, and elongated bodies in fast spin can blow up.
+cell that turns by t in the step gains tan^2 t of its volume, and elongated bodies in fast spin can blow up.
 """
 
 from functools import cached_property
@@ -150,7 +150,7 @@ class Prefactored:
 
 
 class FrozenPasses:
-    """A fixed number of solves, each with the rotations at the positions where it starts."""
+    """A fixed number of solves, each with the rotations at the positions from which it starts."""
 
     chooses_model: ClassVar[bool] = False
 
