@@ -41,7 +41,7 @@ def make_case(
     and variants.
 
     The result folder describes arrays and functions but does not contain them: to solve such a case again, make it
-    again. A function counts as unchanged if its code and its values at 16 times of the schedule are the same. Raises
+    again. A function counts as unchanged if its code and its values at 16 times in the schedule are the same. Raises
     CaseError if a section is wrong, a shape does not fit or a value is not finite.
     """
     path = Path(f"{name} (made in Python)")
