@@ -19,7 +19,7 @@ Values = Mapping[str, NDArray[np.float64]]
 class Frame:
     """One instant of a motion: the positions x (n, d) [m] of the nodes of a rest mesh, and velocities v [m/s].
 
-    `known` are the values that only the solver knows (energies, momenta, iterations), by the names of
+    `known` are the values that only the solver knows (energies, momenta, iterations), by the names in
     `measures.VARIABLES` and `STEPS`; `work` is the work since the previous frame. A foreign series has none of
     them: `known` is empty, and step, v, work and state are None.
     """

@@ -27,7 +27,7 @@ def frames(
 ) -> Iterator[Frame]:
     """Yield a frame of the start and one every steps_per_frame steps, to the end of the schedule.
 
-    Raises SolveError if a step fails, after the frames before it. The first frame's `work.seconds` is the set-up time.
+    Raises SolveError if a step fails, after the earlier frames. The first frame's `work.seconds` is the set-up time.
     To resume a run, pass a `start` and the `effort` since the last written frame; a start between two frames yields
     no frame of its own. `after_step` gets each new state and the effort since the last frame, before its frame is made.
     """
@@ -81,7 +81,7 @@ def _make_frame(problem: Problem, state: State, effort: Effort, *, stepwise: boo
 
 
 def _list_choices(effort: Effort, count: int) -> dict[str, Floats]:
-    """Return the choices of the last `count` steps, by the names of measures.VARIABLES and STEPS.
+    """Return the choices of the last `count` steps, by the names in measures.VARIABLES and STEPS.
 
     Every frame has `count` numbers: those for steps before the first one are NaN.
     """
@@ -94,7 +94,7 @@ def _list_choices(effort: Effort, count: int) -> dict[str, Floats]:
 
 
 def measure_dynamics(body: Body, state: State, time: float) -> dict[str, Floats]:
-    """Return the energies [J] and momenta of a state at a time [s], by the names of measures.VARIABLES."""
+    """Return the energies [J] and momenta of a state at a time [s], by the names in measures.VARIABLES."""
     p = body.momentum(state.v)
     xp = np.zeros((3, 3))  # sum_n x_n p_n^T, whose skew part is the sum of x_n x p_n
     xp[: body.mesh.dimension, : body.mesh.dimension] = state.x.T @ p

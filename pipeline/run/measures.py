@@ -80,7 +80,7 @@ def make_attributes(name: str, dimension: int) -> dict[str, str]:
 
 
 def pad_to_space(vector: Floats) -> Floats:
-    """Return vectors (..., d) with three components, as files have them: zero along z in the plane."""
+    """Return vectors (..., d) with three components, as files store them: zero along z in the plane."""
     missing = 3 - vector.shape[-1]
     return np.pad(vector, [(0, 0)] * (vector.ndim - 1) + [(0, missing)])
 
@@ -103,7 +103,7 @@ def measure_cells_by_numpy(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
 
 
 def measure(frame: Frame) -> Values:
-    """Return the values of all variables that this frame has, by the names of VARIABLES and STEPS."""
+    """Return the values of all variables that this frame has, by the names in VARIABLES and STEPS."""
     mesh = frame.mesh
     volumes, angles = measure_cells(mesh, frame.x)
     ratio = volumes / mesh.rest_volumes

@@ -16,7 +16,7 @@ from pipeline.run.measures import measure
 class RunSummary:
     """Totals of a recording: frames, work, seconds, and the worst volume ratio.
 
-    `work.seconds` is solving, `writing_seconds` measuring and writing; `wall_seconds` is everything after the set-up.
+    `work.seconds` is for solving, `writing_seconds` for measuring and writing, `wall_seconds` for all after set-up.
     """
 
     frames: int
