@@ -13,8 +13,8 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame, Values
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES, make_attributes
 
-CHUNK_FRAMES = 256  # the default of one would make a chunk, and its index entry, of every number
-_CELLS_CHUNK = 2048  # values of cells, if a frame has fewer: the index of chunks is kept in memory
+CHUNK_FRAMES = 256  # the default of one would give every number its own chunk and index entry
+_CELLS_CHUNK = 2048  # cell values, if a frame has fewer: the index of chunks is kept in memory
 
 
 class NetcdfSink:

@@ -56,7 +56,7 @@ class VtkhdfSink:
                 file.close()
 
     def _lay_out(self, frame: Frame, arrays: Fields, room: int) -> VtkhdfFile:
-        """Return a file with room for more and the frames so far; if there are none, this frame is listed already."""
+        """Return a file with room for `room` frames that has those so far or, if there are none, lists this one."""
         mesh: Mesh = frame.mesh
         rest = make_rest_positions(mesh, self.precision)
         times = self._times or [frame.time]

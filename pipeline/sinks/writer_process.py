@@ -1,7 +1,7 @@
 """Writing in a separate process, which measures and writes frames while the next ones are solved.
 
 A thread would share the interpreter's lock with the solver, and both make many short calls: at 10 000 cells a thread
-took half as long again as the longer of the two. Frames wait in a pipe between the processes; answers come back.
+took half again as long as the longer of the two. Frames wait in a pipe between the processes; answers come back.
 """
 
 import pickle
