@@ -83,7 +83,8 @@ def lay_out_file(
 ) -> None:
     """Put a whole file in place for simplices (e, d + 1), rest positions (n, 3) and `room` frames like `arrays`.
 
-    It lists the frames of `times` [s]; their arrays are copied from the file `before`, or left unwritten without it.
+    It lists the frames of `times` [s], whose arrays are copied from the file `before`. Without that file `times` is the
+    time of one frame with `arrays`.
     """
     import h5py
 
@@ -92,11 +93,10 @@ def lay_out_file(
         root, other = (file.create_group(group) for group in _GROUPS)
         _lay_out_cells(root, cells, rest)
         _lay_out_frames(root, arrays, room)
-        if before is not None:
-            for name, values in arrays.items():
-                for index in range(len(times)):
-                    rows = _frame_rows(values, index)
-                    root[name][rows] = before.read_rows(name, rows)
+        for name, values in arrays.items():
+            for index in range(len(times)):
+                rows = _frame_rows(values, index)
+                root[name][rows] = values if before is None else before.read_rows(name, rows)
         _lay_out_steps(root, times, room)
         _share(root, other)
         file["VTKHDF"] = root

@@ -15,6 +15,7 @@ from vtkmodules.vtkIOHDF import vtkHDFReader
 
 from pipeline import build, frames, load_case, read_series, record
 from pipeline.errors import OutputError
+from pipeline.formats.vtkhdf import VtkhdfFile
 from pipeline.run.measures import VARIABLES, measure, pad_to_space
 from pipeline.series.xarray_plugin import SeriesBackend
 from pipeline.sinks import frame_formats as formats
@@ -68,6 +69,18 @@ def test_vtk_finds_every_frame_and_field_as_in_the_vtu(given, tmp_path, room, pr
         assert series.read_grid(i).types.tolist() == other.read_grid(i).types.tolist()
         assert np.array_equal(series.read_grid(i).connectivity, other.read_grid(i).connectivity)
         assert series.read_frame(i).step == frame.step
+
+
+def test_a_kill_before_the_first_frame_is_appended_leaves_that_frame(given, tmp_path, monkeypatch):
+    def kill(*_):
+        raise KeyboardInterrupt
+
+    moved = given[2]
+    monkeypatch.setattr(VtkhdfFile, "append", kill)
+    with pytest.raises(KeyboardInterrupt):
+        VtkhdfSink(tmp_path).write(moved, measure(moved))
+    points = vtk_to_numpy(read(tmp_path / "series.vtkhdf", 0).GetPoints().GetData())
+    assert np.array_equal(points, pad_to_space(moved.x))
 
 
 def test_the_dataset_is_rebuilt_from_the_file(given, tmp_path):
