@@ -9,7 +9,7 @@ from pipeline.errors import CaseError, quote_value, shorten
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """Return the tables of a TOML file; raises CaseError with the reason and the line, if there is one."""
+    """Return the tables of a TOML file; raises CaseError with the reason and, if known, the line."""
     if "\0" in str(path):
         raise CaseError(f"{quote_value(str(path))}: no such file")
     try:
@@ -40,19 +40,19 @@ def _parse(text: str, path: Path) -> dict[str, Any]:
 
 
 def _mention_cases_in(folder: Path) -> str:
-    """Return a hint that lists the case files in a folder, "" if there are none."""
+    """Return a hint that lists the case files in a folder, or "" if there are none."""
     names = [file.name for file in _list_cases(folder)]
     listed = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
     return f"; {folder} has {listed}" if names else ""
 
 
 def _suggest_path(path: Path) -> str:
-    """Return a hint with similarly named case files beside the path or else in cases/, "" if there are none."""
+    """Return a hint with similarly named case files beside the path or else in cases/; "" if there are none."""
     for folder in (path.parent, Path("cases")):
         files = {file.stem: file for file in _list_cases(folder)}
         # the common suffix would make all names similar
-        if found := get_close_matches(path.name.removesuffix(".toml"), files, n=3):
-            return f"; did you mean {' or '.join(str(files[name]) for name in found)}?"
+        if similar := get_close_matches(path.name.removesuffix(".toml"), files, n=3):
+            return f"; did you mean {' or '.join(str(files[name]) for name in similar)}?"
     return ""
 
 

@@ -1,6 +1,6 @@
 """The sections of a case file, each key with its unit and one sentence.
 
-Names of laws, steppers and shapes are free here: the tables in problem/methods.py own them.
+Names of laws, steppers and shapes are not checked here: the tables in problem/methods.py define them.
 """
 
 from typing import Annotated, Any, Literal
@@ -179,13 +179,13 @@ class SelectorSpec(Spec):
     @model_validator(mode="after")
     def _check_selector(self) -> "SelectorSpec":
         kinds = ("plane", "box", "sphere", "below", "above", "nodes")
-        given = [kind for kind in kinds if getattr(self, kind) is not None]
-        if self.at is not None and not given:
+        chosen = [kind for kind in kinds if getattr(self, kind) is not None]
+        if self.at is not None and not chosen:
             raise make_fault("needs plane, which is not given", "at")
-        if not given:
+        if not chosen:
             raise make_fault(f"no selector; give one of {', '.join(kinds)}")
-        if len(given) > 1:
-            raise make_fault(f"{given[0]} and {given[1]} cannot be combined")
+        if len(chosen) > 1:
+            raise make_fault(f"{chosen[0]} and {chosen[1]} cannot be combined")
         if (self.plane is None) != (self.at is None):
             raise make_fault("missing" if self.at is None else "needs plane, which is not given", "at")
         return self
@@ -211,10 +211,10 @@ class BodyForceSpec(Spec):
 
 
 class BareVector:
-    """Annotation of a table that a vector, its value, can stand for."""
+    """Annotation of a table that may be written as a bare vector, its `value`."""
 
     def check(self, value: Any) -> Any:
-        """Return the table."""
+        """Return the table, made from the vector if only that is written."""
         return {"value": value} if isinstance(value, list | tuple) else value
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:

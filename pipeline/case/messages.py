@@ -20,7 +20,7 @@ WANTED = {
 
 
 def describe_first_fault(error: ValidationError, overrides: Iterable[str] = ()) -> tuple[tuple[str, ...], str]:
-    """Return the key and message of the first fault; unknown keys come first, as a misspelled key is also missing."""
+    """Return the key and message of the first fault; unknown keys come first, as one misspelled is also missing."""
     details = error.errors(include_url=False)
     detail = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
     context: dict[str, Any] = detail.get("ctx", {})

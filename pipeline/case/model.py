@@ -19,7 +19,7 @@ from pipeline.errors import CaseError, join_names, quote_value
 
 
 class Case(CaseFile):
-    """A case file and its path; for a single variant also its name, the dotted keys that it sets and notes."""
+    """A case file and its path; for a single variant, also its name, the dotted keys that it sets, and notes."""
 
     path: Path
     variant_name: str | None = None
@@ -68,7 +68,7 @@ class Case(CaseFile):
                 document = apply_override(document, key, value)
             except ValueError as error:
                 raise CaseError(f"{self.path}: {join_key(('variants', name, key))}: {error}") from None
-        # A resolved case keeps its keys when it is asked for itself again.
+        # a resolved case keeps its keys if the same variant is requested again
         keys = tuple(own) or self.own_keys
         return _validate(document, self.path, variant=name, keys=keys, notes=tuple(notes))
 
@@ -77,10 +77,10 @@ class Case(CaseFile):
         return self._document(written=False)
 
     def to_toml(self, folder: str | os.PathLike[str] | None = None) -> str:
-        """Return the case as TOML; if it will be saved in another `folder`, mesh.file becomes relative to that."""
+        """Return the case as TOML; if it will be saved in another `folder`, mesh.file becomes relative to it."""
         document = self.as_dict()
         if folder is not None and self.mesh_path is not None and not os.path.isabs(self.mesh.file or ""):
-            # ".." leads to the parent of the real folder, not of a link to it
+            # ".." leads to the parent of the real folder, not to that of a link to it
             document["mesh"]["file"] = Path(
                 os.path.relpath(os.path.realpath(self.mesh_path), os.path.realpath(folder))
             ).as_posix()
@@ -126,7 +126,7 @@ def load_case(
 
 
 def validate_case(document: Mapping[str, Any], path: Path) -> Case:
-    """Return the case of a document that was made in Python, every variant checked; raises CaseError."""
+    """Return the case of a document that was made in Python, with every variant checked; raises CaseError."""
     case = _validate(dict(document), path)
     for name in case.variant_names:
         case.variant(name)
@@ -141,7 +141,7 @@ def _validate(
     keys: tuple[str, ...] = (),
     notes: tuple[str, ...] = (),
 ) -> Case:
-    """Return the case of a document; `keys` are the overrides in it, those of the variant if one is named."""
+    """Return the case of a document; `keys` are the overrides in it, or those of the variant if one is named."""
     try:
         file = CaseFile.model_validate(document)
     except ValidationError as error:
@@ -153,9 +153,9 @@ def _validate(
             if place == join_key(parts):
                 place = f"{join_key(('variants', variant))}: {place}"
         raise CaseError(f"{path}: {place}: {message}") from None
-    given = {name: getattr(file, name) for name in file.model_fields_set}
+    sections = {name: getattr(file, name) for name in file.model_fields_set}
     own = keys if variant is not None else ()
-    case = Case(**given, path=path, variant_name=variant, own_keys=own, notes=notes)
+    case = Case(**sections, path=path, variant_name=variant, own_keys=own, notes=notes)
     return case if case.movie.variants else _show_all_variants(case)
 
 
@@ -171,7 +171,7 @@ def _cut_schedules(case: Case, resolved: list[Case], steps: int) -> Case:
         frames = _count_frames(variant, steps)
         own = variants.get(variant.variant_name or "", {})
         if any(key.split(".")[0] == "schedule" for key in own):
-            own.pop("schedule.frames", None)  # set last, after an override of the whole table
+            own.pop("schedule.frames", None)  # so that it is set last, after an override of the whole table
             own["schedule.frames"] = frames
     schedule = case.schedule.model_copy(update={"frames": _count_frames(case, steps)})
     return case.model_copy(update={"schedule": schedule, "variants": variants})
@@ -187,11 +187,11 @@ def _count_frames(case: Case, steps: int) -> int:
 
 
 def _to_toml_values(value: Any, written: bool) -> Any:
-    """Return the TOML values of a section; `written` leaves out the defaults that the file did not write."""
+    """Return the TOML values of a section; `written` leaves out the defaults that the file does not set."""
     if isinstance(value, Spec):
         names = [name for name in type(value).model_fields if name not in value.derived_keys()]
-        kept = [name for name in names if not written or name in value.model_fields_set]
-        items = ((name, getattr(value, name)) for name in kept)
+        shown = [name for name in names if not written or name in value.model_fields_set]
+        items = ((name, getattr(value, name)) for name in shown)
         return {name: _to_toml_values(item, written) for name, item in items if item is not None}
     if isinstance(value, PythonValue):
         return value if written else value.description

@@ -22,7 +22,7 @@ def parse_override(text: str) -> tuple[str, object]:
 
 
 def apply_override(document: Mapping[str, Any], key: str, value: object) -> dict[str, Any]:
-    """Return a copy of the document with a dotted key set; a table replaces a table. Raises ValueError."""
+    """Return a copy of the document with a dotted key set; a table replaces a whole table. Raises ValueError."""
     if value is None:
         raise ValueError("None is not a TOML value")
     parts = key.split(".")

@@ -33,7 +33,7 @@ class PythonValue:
 
     @classmethod
     def check(cls, value: Any) -> "PythonValue":
-        """Return the value, made of its description if that is all there is."""
+        """Return the value, or one made from its description if that is all there is."""
         if isinstance(value, str) and value.startswith(_KINDS):
             return cls(value)
         if not isinstance(value, cls):
@@ -46,4 +46,4 @@ class PythonValue:
 
     @classmethod
     def __get_pydantic_json_schema__(cls, _schema: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return {"type": "string", "python": True}  # files have no such key: the schema leaves it out
+        return {"type": "string", "python": True}  # case files have no such key, so the schema leaves it out

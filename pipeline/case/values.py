@@ -13,7 +13,7 @@ from pipeline.errors import quote_value, shorten
 
 # Counts and node numbers stay in 32 bits, as they do in VTK files and in compiled kernels.
 LARGEST_INTEGER = 2**31 - 1
-# Energies are products of six such numbers, which double precision can represent.
+# An energy is a product of six such numbers, which double precision can still represent.
 LARGEST_NUMBER, SMALLEST_POSITIVE = 1e30, 1e-30
 FOLDER_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 # TOML, unlike other languages, requires digits on both sides of a point.
@@ -32,7 +32,7 @@ def join_key(parts: tuple[str, ...]) -> str:
 
 
 def suggest_toml(value: object) -> str:
-    """Return "; write ..." for a text that is a number or a list but for digits beside its points, else ""."""
+    """Return "; write ..." for text that lacks only digits beside a point to be a number or list, else ""."""
     if not isinstance(value, str):
         return ""
     text = AFTER_POINT.sub(".0", BEFORE_POINT.sub("0.", value.strip()))
@@ -84,7 +84,7 @@ def _check_poisson_ratio(value: Any) -> float:
 
 
 def check_integer(value: Any) -> int:
-    """Return the value if it is an integer of 32 bits; 2.0 and true are not integers."""
+    """Return the value if it is a 32-bit integer; 2.0 and true are not integers."""
     if isinstance(value, bool) or not isinstance(value, int):
         raise make_fault(f"{quote_value(value)} is not an integer")
     if abs(value) > LARGEST_INTEGER:
@@ -130,7 +130,7 @@ def check_folder_name(value: Any) -> str:
 
 
 class OneOf:
-    """Annotation of a text that is one of some names."""
+    """Annotation of a string that is one of some names."""
 
     def __init__(self, *names: str) -> None:
         self.names = names
@@ -155,7 +155,7 @@ class Length:
         self.least, self.most = least, most
 
     def check(self, values: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the list; raises a fault with both numbers."""
+        """Return the list; raises a fault with its length and the right one."""
         if self.most is None and len(values) < self.least:
             raise make_fault("is empty")
         if self.most is not None and not self.least <= len(values) <= self.most:
@@ -190,7 +190,7 @@ def _check_frame_rate(value: Any) -> int:
 
 
 def _as_json(kind: str, **limits: Any) -> WithJsonSchema:
-    """Return how the JSON Schema describes a type that has a validator of its own."""
+    """Return the JSON Schema of a type that has its own validator."""
     return WithJsonSchema({"type": kind, **limits})
 
 
