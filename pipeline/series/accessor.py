@@ -1,4 +1,4 @@
-"""ds.deformation: measures of a dataset of a moving body, and the ways out of it.
+"""ds.deformation: measures of a dataset of a moving body, and ways to extract and export it.
 
 xarray_plugin registers it with xarray.
 """
@@ -21,7 +21,7 @@ from pipeline.series.dataset_writer import write_pvd_series
 if TYPE_CHECKING:
     import xarray
 
-_ON_A_FACE = 1e-9  # of a cell's size: rounding puts points of the surface outside
+_ON_A_FACE = 1e-9  # of a cell's size: rounding can put points on the surface outside
 
 
 class Worst(NamedTuple):
@@ -71,8 +71,8 @@ class DeformationAccessor:
     def probe(self, field: "str | xarray.DataArray", points: Any) -> "xarray.DataArray":
         """Return a field at points (p, d) of the body at rest, which move with it (time, point[, axis]).
 
-        A nodal field is interpolated linearly in the cell around the point, a cell field is that cell's value;
-        outside the body the result is NaN. `field` is a name, or any DataArray of nodes or cells. Raises SeriesError.
+        A nodal field is interpolated linearly in the cell around the point; a cell field has that cell's value; outside
+        the body the result is NaN. `field` is a name, or any DataArray over nodes or cells. Raises SeriesError.
         """
         import xarray
 
@@ -81,7 +81,7 @@ class DeformationAccessor:
         if "node" in values.dims:
             nodes, places = np.unique(self._dataset["connectivity"].values[cells], return_inverse=True)
             nodal = values.isel(node=nodes)
-            nodal = nodal if nodal.chunks else nodal.compute()  # read the needed nodes, each of them once
+            nodal = nodal if nodal.chunks else nodal.compute()  # read only the nodes needed, each once
             corners = xarray.DataArray(places.reshape(weights.shape), dims=("point", "corner"))
             shares = xarray.DataArray(weights, dims=("point", "corner"))
             out = xarray.dot(nodal.isel(node=corners), shares, dim="corner")
@@ -96,7 +96,7 @@ class DeformationAccessor:
         return out.rename(values.name).assign_attrs(values.attrs)
 
     def extract(self, cells: Any) -> "xarray.Dataset":
-        """Return the dataset of some cells, given by their indices or as a mask, and of their nodes."""
+        """Return the dataset restricted to some cells, chosen by indices or a mask, and to their nodes."""
         corners = self.mesh().cells
         chosen = np.arange(len(corners))[np.asarray(cells)].reshape(-1)
         nodes, renumbered = np.unique(corners[chosen], return_inverse=True)

@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     import xarray
 
 _WHOLE = (("node",), ("cell",))
-_BLOCK_BYTES = 1 << 22  # 4 MB: a hundred frames of a few hundred cells, one of a large mesh
+_BLOCK_BYTES = 1 << 22  # 4 MB: a hundred frames of a few hundred cells, or one of a large mesh
 
 
 def write_pvd_series(dataset: "xarray.Dataset", path: str | os.PathLike[str]) -> Path:
     """Write a dataset as NAME.pvd with a folder NAME of .vtu files, frame by frame; return the index.
 
-    The frames are not synced: a power loss soon afterwards may leave some empty or partial. Raises SeriesError for a
-    variable that is neither (time, node, ...), (time, cell, ...) nor (time, ...), because files of frames cannot hold
-    it; OutputError if it cannot write.
+    The frames are not synced: a power loss soon afterwards may leave some of them empty or incomplete. Raises
+    SeriesError for a variable that is neither (time, node, ...), (time, cell, ...) nor (time, ...), because files of
+    frames cannot hold it; OutputError if a file cannot be written.
     """
     path, mesh = Path(path), read_mesh(dataset)
     strange = [str(name) for name, field in dataset.data_vars.items() if name not in STATIC and not _fits_frames(field)]
@@ -49,7 +49,7 @@ def write_pvd_series(dataset: "xarray.Dataset", path: str | os.PathLike[str]) ->
 
 
 def _iterate_frames(moving: "xarray.Dataset", rest: Floats) -> Iterator[tuple[float, FrameFields]]:
-    """Yield time [s] and fields of each frame; frames are read in blocks, which is faster than one by one."""
+    """Yield time [s] and fields of each frame; they are read in blocks, which is faster than one by one."""
     count = moving.sizes["time"]
     block = max(1, _BLOCK_BYTES * count // max(1, moving.nbytes))
     kinds = {str(name): field.dims[1:2] for name, field in moving.data_vars.items()}

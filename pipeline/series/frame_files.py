@@ -1,8 +1,8 @@
-"""Reads the files of frames: inline .vtu and our own files here, others in a child process that may crash."""
+"""Reads the files of frames: inline .vtu and our own files in this process, others in a child, which may crash."""
 
 import os
 from functools import lru_cache
-from os.path import isfile  # pathlib's raises if a name is longer than the system allows
+from os.path import isfile  # pathlib's version raises if a name is longer than the system allows
 from pathlib import Path
 from stat import S_ISREG
 
@@ -25,7 +25,7 @@ def read_grid(file: Path, step: int = 0, *, ours: bool = False) -> Grid:
 
 
 def read_times(file: Path) -> list[float] | None:
-    """Return the times [s] in a file, None if it has none; raises SeriesError if it cannot be read."""
+    """Return the times [s] in a file, or None if it has none; raises SeriesError if it cannot be read."""
     if (grid := read_inline(file)) is not None:
         values = grid.field_data.get("TimeValue")
         return None if values is None else [float(time) for time in values.ravel()]
@@ -43,7 +43,7 @@ def _check_file(file: Path) -> None:
 
 def find_fault(file: Path) -> str | None:
     """Return the visible fault of a file that is missing, empty or cut off; None if there is none."""
-    name = str(file)  # of thousands of files, pathlib and file objects would double the time
+    name = str(file)  # for thousands of files, pathlib and file objects would double the time
     try:
         status = os.stat(name)
     except (OSError, ValueError):  # ValueError: a name that no file can have
@@ -56,7 +56,7 @@ def find_fault(file: Path) -> str | None:
         if b"</VTKFile>" in _read_end(name, status.st_size):
             return None
         return "is truncated: it does not end with </VTKFile>"
-    if file.suffix == ".vtk":  # nothing at its end shows that it is whole
+    if file.suffix == ".vtk":  # nothing at its end shows that it is complete
         return _find_legacy_fault(file, file.stat().st_mtime_ns)
     return None
 

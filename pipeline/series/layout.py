@@ -1,7 +1,7 @@
 """How the files of a series are read: which cells are measured, their rest state, and where the points are.
 
-Solvers write deformed points, or rest points and a displacement field; some write hexahedra beside tetrahedra,
-nodes without cells, mirrored cells. A note reports each of these decisions.
+Solvers write deformed points, or rest points and a displacement field; some write hexahedra along with tetrahedra,
+nodes without cells, or mirrored cells. A note reports each of these decisions.
 """
 
 import os
@@ -25,12 +25,12 @@ _DISPLACEMENTS = {"displacement", "displacements", "disp", "u", "deformation"}  
 # vector fields that are not displacements
 _OTHERS = ("velocity", "veloc", "acceler", "force", "normal", "reaction", "load", "momentum", "traction", "rest_")
 _LARGEST = 1e75  # [m]: volumes of larger bodies would overflow; larger coordinates count as not finite
-_PLANAR = 1e-6  # of the size: single precision leaves a few 1e-7 of it
+_PLANAR = 1e-6  # of the size: rounding to single precision leaves a few 1e-7 of it
 
 
 @dataclass(frozen=True)
 class Options:
-    """Choices of the caller: the displacement field ("none" for deformed points) and the rest state.
+    """The caller's choices: the displacement field ("none" for deformed points) and the rest state.
 
     `rest` is "first", "rest_position", "points" or the path of a file. None means the first of these that exists:
     the field rest_position, the points if a displacement field is added to them, the first frame.
@@ -76,7 +76,7 @@ class SeriesLayout:
             )
         points = add_displacement(grid, self.displacement, where)
         points = points if self.nodes is None else points[self.nodes]
-        bad = np.flatnonzero(~(np.abs(points) < _LARGEST).all(axis=1))  # written so that NaN counts too
+        bad = np.flatnonzero(~(np.abs(points) < _LARGEST).all(axis=1))  # negated so that NaN counts too
         if bad.size:
             raise SeriesError(f"{where}: {bad.size} points are not finite, first {self.find_point(bad[0])}")
         return drop_z(points, where) if self.mesh.dimension == 2 else np.ascontiguousarray(points)
@@ -88,7 +88,7 @@ class SeriesLayout:
 
 def have_same_cells(a: Grid, b: Grid) -> bool:
     """Return whether two grids have equal cells and the same number of points."""
-    if a.connectivity is b.connectivity and a.types is b.types:  # decoded once from equal texts
+    if a.connectivity is b.connectivity and a.types is b.types:  # equal text is decoded only once
         return a.count == b.count
     return a.count == b.count and np.array_equal(a.types, b.types) and np.array_equal(a.connectivity, b.connectivity)
 
@@ -106,7 +106,7 @@ def add_displacement(grid: Grid, displacement: str | None, where: str) -> Floats
 
 
 def drop_z(points: Floats, where: str) -> Floats:
-    """Return points (n, 2) without the third coordinate; raises SeriesError unless that is constant."""
+    """Return points (n, 2) without the third coordinate; raises SeriesError unless it is constant."""
     if np.ptp(points[:, 2]) > _PLANAR * float(np.ptp(points, axis=0).max()):
         raise SeriesError(f"{where}: triangles that do not lie in a plane of constant z are a surface, not a body")
     return np.ascontiguousarray(points[:, :2])
@@ -166,7 +166,7 @@ def _select_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], tuple
 def _choose_displacement(
     first: Grid, read: Callable[[int], Grid], count: int, options: Options, where: str
 ) -> tuple[str | None, tuple[str, ...]]:
-    """Return the displacement field to add to the points, None if the points themselves move; and a note."""
+    """Return the displacement field to add to the points, or None if the points themselves move, and a note."""
     if options.displacement is not None:
         if options.displacement == "none":
             return None, ()
@@ -193,7 +193,7 @@ def _choose_displacement(
 def _choose_rest_points(
     first: Grid, displacement: str | None, options: Options, where: str
 ) -> tuple[Floats, tuple[str, ...]]:
-    """Return the points of the rest state (n, 3), and a note if it is a guess."""
+    """Return the points of the rest state (n, 3), and a note if they are a guess."""
     rest = options.rest
     if rest is None:
         rest = "rest_position" if "rest_position" in first.point_data else "points" if displacement else "first"

@@ -4,7 +4,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable
 from glob import has_magic
-from os.path import exists, isdir  # pathlib's raise if a name is longer than the system allows
+from os.path import exists, isdir  # pathlib's versions raise if a name is longer than the system allows
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ _OWN = ("series.pvd", "series.vtkhdf")
 
 
 class Member(NamedTuple):
-    """One instant: its time [s], its file and the step there."""
+    """One instant: its time [s], its file and the step in it."""
 
     time: float
     file: Path
@@ -26,7 +26,7 @@ class Member(NamedTuple):
 
 
 class FrameListing(NamedTuple):
-    """The instants that can be read, in the order of time, and notes on the others."""
+    """The instants that can be read, in order of time, and notes on the others."""
 
     name: str
     folder: Path
@@ -101,7 +101,7 @@ def _list_members(index: Path) -> tuple[list[Member], list[str]]:
 
 
 def _list_numbered(where: Path, candidates: Iterable[Path]) -> tuple[list[Member], list[str]]:
-    """Return files in the order of their numbers; their own times if all have one, else their places."""
+    """Return files in the order of their numbers, with their own times or, if none has one, their positions."""
     files = sorted((file for file in candidates if not file.name.startswith(".")), key=_make_natural_key)
     if any(file.suffix == ".pvtu" for file in files):  # the other files are its pieces
         files = [file for file in files if file.suffix == ".pvtu"]

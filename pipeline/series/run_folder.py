@@ -15,7 +15,7 @@ def is_own(folder: Path, files: tuple[Path, ...]) -> bool:
         run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    # compared as text: for a thousand files pathlib takes as long as looking at the files
+    # compared as text: for a thousand files, pathlib takes as long as looking at the files themselves
     frame, vtkhdf = str(folder / FRAMES / "frame_"), str(folder / "series.vtkhdf")
     known = isinstance(run, dict) and {"status", "case", "versions"} <= run.keys()
     return known and all(name == vtkhdf or _is_frame(name, frame) for name in map(str, files))
@@ -26,9 +26,9 @@ def _is_frame(name: str, beginning: str) -> bool:
 
 
 def find_unlisted_frames(folder: Path, listed: int) -> list[tuple[float, Path]]:
-    """Return times [s] and files of the complete frames after the `listed` ones: an index is up to a second behind.
+    """Return times [s] and files of the complete frames after the `listed` ones: an index lags by up to a second.
 
-    The first gap ends them; files behind it belong to another run.
+    They end at the first gap; files after it belong to another run.
     """
     frames: list[tuple[float, Path]] = []
     while (file := folder / FRAMES / f"frame_{listed + len(frames):06d}.vtu").is_file():

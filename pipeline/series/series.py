@@ -23,14 +23,14 @@ _LENGTHS = {(): 1, ("axis",): len(AXES), ("quantile",): len(QUANTILES)}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Series:
-    """The frames of a series: the place of each in the order of time, and how the files are read."""
+    """The frames of a series: the place of each, in order of time, and the way in which the files are read."""
 
     name: str
     folder: Path
     members: tuple[Member, ...]
     layout: SeriesLayout
     listing_notes: tuple[str, ...] = ()
-    ours: bool = False  # recorded by this program: read without the care that other files need
+    ours: bool = False  # recorded by this program: read without the precautions that other files need
 
     def __len__(self) -> int:
         return len(self.members)
@@ -87,14 +87,14 @@ class Series:
         for name in grid.field_data.keys() & VARIABLES.keys():
             dims = VARIABLES[name].dims
             value = np.asarray(grid.field_data[name], dtype=np.float64)
-            # a field of that name may be something else elsewhere
+            # in another program's files, a field of that name may be something else
             if value.size == _LENGTHS.get(dims):
                 known[name] = value.reshape([-1] if dims else [])
         step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
         return Frame(index, self.members[index].time, self.mesh, x, step=step, v=self._read_velocity(grid), known=known)
 
     def read_positions(self, index: int, grid: Grid | None = None) -> Floats:
-        """Return the positions (n, d) of one frame, read from its file now; raises SeriesError as `read_frame`."""
+        """Return the positions (n, d) of one frame, read from its file now; raises SeriesError as `read_frame` does."""
         member = self.members[index]
         where = f"{member.file}, t = {member.time:g} s"
         return self.layout.compute_positions(self.read_grid(index) if grid is None else grid, where)
@@ -113,8 +113,8 @@ def read_series(
 ) -> Series:  # fmt: skip
     """Return the series of an index (.pvd, .series), a folder, a pattern, or a file with steps (.vtkhdf, .xdmf).
 
-    A folder or a pattern ("out/beam_*.vtu") holds numbered files. Frames that are missing or cut off are left out
-    with a note; `strict` refuses them. `displacement` and `rest` are those of Options. Raises SeriesError.
+    A folder or a pattern ("out/beam_*.vtu") is read as numbered files. Frames that are missing or cut off are left out
+    with a note; with `strict` they are errors. `displacement` and `rest` are those of Options. Raises SeriesError.
     """
     return open_series(path, name, displacement=displacement, rest=rest, strict=strict)[0]
 
@@ -123,7 +123,7 @@ def open_series(
     path: str | os.PathLike[str], name: str | None = None, *, displacement: str | None = None,
     rest: str | os.PathLike[str] | None = None, strict: bool = False,
 ) -> tuple[Series, Grid]:  # fmt: skip
-    """Return the series as `read_series`, and its first frame, which had to be read for that."""
+    """Return the series, as `read_series` does, and its first frame, which has to be read for that."""
     listing = list_frames(Path(path), strict=strict)
     listing = listing if name is None else listing._replace(name=name)
     return make_series(listing, Options(displacement, rest))

@@ -1,6 +1,7 @@
 """xarray's engine for series: `xarray.open_dataset("series.pvd")`; a frame is read when its values are needed.
 
-xarray loads this module through its entry point, and with it the accessor `deformation`. `import pipeline` does not.
+xarray loads this module through its entry point, and with it the accessor `deformation`; `import pipeline` does not
+load it.
 """
 
 import json
@@ -27,19 +28,19 @@ from pipeline.series.dataset_layout import ATTRIBUTES, STATIC, describe_field
 from pipeline.series.series import Series, open_series
 
 _SUFFIXES = (*INDEX_SUFFIXES, *TEMPORAL_SUFFIXES, *SUFFIXES)
-_CACHE_BYTES = 1 << 25  # 32 MB: 1000 frames of a few hundred cells, two of a million
-_DIMENSIONS = {"point": ("node",), "cell": ("cell",), "field": ()}  # of a kind of field, after time
+_CACHE_BYTES = 1 << 25  # 32 MB: 1000 frames of a few hundred cells, or two of a million
+_DIMENSIONS = {"point": ("node",), "cell": ("cell",), "field": ()}  # of each kind of field, after time
 
 
 class SeriesBackend(BackendEntrypoint):
-    """Opens deformable bodies that move: .pvd, .vtu.series, numbered files, temporal .vtkhdf, .xdmf."""
+    """Opens series of deforming bodies: .pvd, .vtu.series, numbered files, temporal .vtkhdf, .xdmf."""
 
     description = "Time series of deformable bodies in ParaView's files"
     url = "docs/analysis.md"
     open_dataset_parameters = ("filename_or_obj", "drop_variables", "displacement", "rest", "strict")
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Return whether the suffix is that of a series."""
+        """Return whether the path has the suffix of a series."""
         return isinstance(filename_or_obj, str | PathLike) and Path(filename_or_obj).suffix in _SUFFIXES
 
     def open_dataset(
@@ -53,10 +54,10 @@ class SeriesBackend(BackendEntrypoint):
 
 
 class FrameStore:
-    """The frames of a series; the last ones are cached, so that several fields of one frame cost one read.
+    """The frames of a series, with a cache, so that several fields of one frame cost one read.
 
-    The last two are cached, and as many more as fit into `_CACHE_BYTES`: fields are read one after the other, each in
-    all frames.
+    The last two are cached, and as many more as fit into `_CACHE_BYTES`: xarray reads one field in all frames, then the
+    next.
     """
 
     def __init__(self, series: Series, lock: SerializableLock, first: Grid | None = None) -> None:
@@ -154,10 +155,10 @@ def _to_numpy_index(key: tuple[Any, ...], shape: tuple[int, ...]) -> tuple[tuple
 
 
 def make_lazy_dataset(series: Series, first: Grid | None = None) -> xarray.Dataset:
-    """Return the dataset of a series whose fields are read when needed; `first` is frame 0 if it is read already.
+    """Return the dataset of a series whose fields are read when needed; `first` is frame 0 if it has been read already.
 
     It has displacement (time, node, axis), every other point field (time, node[, axis]), cell field (time, cell) and
-    number of a frame (time) by their names in the first frame, and rest_position and connectivity.
+    number of a frame (time) under their names in the first frame, and rest_position and connectivity.
     """
     store, mesh, d = FrameStore(series, SerializableLock(), first), series.mesh, series.mesh.dimension
     grid = store.read_grid(0)
