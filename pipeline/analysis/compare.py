@@ -1,7 +1,7 @@
 """comparison.nc: the numbers of several statistics.nc side by side along `variant`, read and written in blocks.
 
 `join_variants` joins the variants of one case, which have the same frame times. `join_series` joins any series: it
-interpolates their numbers to common times and can add differences to the first series.
+interpolates their numbers to common times and can add differences from the first series.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,8 +22,8 @@ from pipeline.run.measures import AXES, QUANTILES, VARIABLES
 from pipeline.series import Series
 from pipeline.system.times import TIME_RTOL, are_same_times
 
-_BLOCK_BYTES = 1 << 22  # of one field: 4 MB, 2700 frames of 192 cells or one of half a million
-_CHUNK_VALUES = 2048  # of one variant and several frames: 16 kB, as statistics.nc has them
+_BLOCK_BYTES = 1 << 22  # of one field: 4 MB, 2700 frames of 192 cells, or one of half a million
+_CHUNK_VALUES = 2048  # of one variant and several frames: 16 kB, as in statistics.nc
 _DIFFERENCES = ("volume_ratio", "rotation_angle")
 
 
@@ -50,7 +50,8 @@ class StatisticsFile:
     def read_at(self, times: Floats, names: Sequence[str]) -> Values:
         """Return variables (k, ...) at increasing times (k,), NaN after the last frame.
 
-        Between frames they are interpolated linearly; quantiles and inverted cells are those of interpolated cells.
+        Between frames they are interpolated linearly; quantiles and counts of inverted cells are those of interpolated
+        cells.
         """
         slack = TIME_RTOL * max(abs(self.times[0]), abs(self.times[-1]))
         last = len(self.times) - 1
@@ -100,7 +101,7 @@ class ComparisonPlan(NamedTuple):
     series: tuple[Series, ...]
     times: Floats
     same_cells: bool
-    difference: bool  # to the first series
+    difference: bool  # from the first series
     interpolated: bool  # between frames of some series
     notes: tuple[str, ...]
 
@@ -121,8 +122,8 @@ def plan_comparison(series: Sequence[Series], *, difference: bool) -> Comparison
 def join_variants(statistics: Mapping[str, Path], path: Path, *, title: str) -> tuple[str, ...]:
     """Write comparison.nc of the variants of one case; return a note for each that must be left out.
 
-    The times are those of the variant with the most frames; one that stopped early is NaN after its last frame. A
-    number that some variants do not have is NaN for them. Raises SeriesError, OutputError.
+    The times are those of the variant with the most frames; a variant that stopped early is NaN after its last frame. A
+    number that some variants lack is NaN for them. Raises SeriesError, OutputError.
     """
     with _open_statistics(statistics) as files, _write_to(path) as hidden:
         longest = max(files, key=lambda name: len(files[name].times))
@@ -143,9 +144,10 @@ def join_variants(statistics: Mapping[str, Path], path: Path, *, title: str) -> 
 def join_series(
     plan: ComparisonPlan, statistics: Sequence[Path], path: Path, on_time: Callable[[int, int], None] | None = None
 ) -> tuple[NodeDistance, ...]:
-    """Write comparison.nc of several series, given a statistics.nc of each; return the distances of nodes, if planned.
+    """Write comparison.nc of several series, given the statistics.nc of each; return the distances of nodes, if
+    planned.
 
-    Only numbers that all series have are joined, those of cells only if the cells are the same. `on_time(done, times)`
+    Only numbers that all series have are joined; those of cells, only if the cells are the same. `on_time(done, times)`
     is called while nodes are compared. Raises SeriesError, OutputError.
     """
     labels = [s.name for s in plan.series]
@@ -171,18 +173,18 @@ def _open_statistics(paths: Mapping[str, Path]) -> Iterator[dict[str, Statistics
 
 @contextmanager
 def _write_to(path: Path) -> Iterator[Path]:
-    """Yield a hidden name that replaces `path` in the end; raises OutputError if netCDF cannot write."""
+    """Yield a hidden path that replaces `path` at the end; raises OutputError if netCDF cannot write."""
     try:
         with replace_file(path) as hidden:
             yield hidden
-    except RuntimeError as error:  # netCDF's own error, as for a full disk
+    except RuntimeError as error:  # netCDF's own error, such as for a full disk
         raise OutputError(f"{path}: cannot be written ({error})") from error
 
 
 def _create(
     path: Path, files: Mapping[str, StatisticsFile], times: Floats, names: Sequence[str], *, title: str, meaning: str
 ) -> Any:
-    """Return a new netCDF4 dataset with all coordinates, rest volumes and variables, the latter still NaN."""
+    """Return a new netCDF4 dataset with all coordinates, rest volumes, and variables that are still NaN."""
     first = next(iter(files.values()))
     sizes = {"variant": len(files), "time": None, "axis": len(AXES), "quantile": len(QUANTILES)}
     labels, axes = (np.array(list(texts), dtype=object) for texts in (files, AXES))
@@ -214,14 +216,14 @@ def _create(
 
 
 def _limit_caches(dataset: Any) -> None:
-    """Let each field of cells cache one block, not the library's 16 MB and more: every value passes once."""
+    """Let each field of cells cache one block, not the library's 16 MB or more: every value passes only once."""
     for variable in dataset.variables.values():
         if {"time", "cell"} <= set(variable.dimensions):
             variable.set_var_chunk_cache(size=_BLOCK_BYTES)
 
 
 def _create_differences(out: Any, first: str) -> None:
-    """Create the variables of differences to the first series."""
+    """Create the variables of differences from the first series."""
     for name in _DIFFERENCES:
         source = out[name]
         variable = out.createVariable(
@@ -250,7 +252,7 @@ def _write_numbers(
 
 
 def _have_same_cells(series: Sequence[Series], *, difference: bool) -> bool:
-    """Return whether all series have the cells of the first; raises SeriesError if they must and do not."""
+    """Return whether all series have the cells of the first; raises SeriesError if they must but do not."""
     first = series[0].mesh
     for other in series[1:]:
         if other.mesh.dimension != first.dimension:

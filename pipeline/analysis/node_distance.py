@@ -1,6 +1,6 @@
 """Distances between the nodes of several series and those of the first one, at common times.
 
-Between two frames nodes are assumed to move along the chord. Frames are read and written one after the other.
+Between two frames, nodes are assumed to move in a straight line. Frames are read and written one at a time.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,7 +35,7 @@ class NodeDistance(NamedTuple):
 
 
 class NodeMotion:
-    """Positions and velocities of a series at any time within it; the last two frames are kept."""
+    """Positions and velocities of a series at any time within it; the last two frames read are cached."""
 
     def __init__(self, series: Series) -> None:
         self.series = series
@@ -66,10 +66,10 @@ class NodeMotion:
 def write_node_distances(
     out: Any, series: Sequence[Series], times: Floats, on_time: Callable[[int, int], None] | None = None
 ) -> tuple[NodeDistance, ...]:
-    """Add the differences of nodes to a netCDF4 dataset with (variant, time, axis); return those of series[1:].
+    """Add the differences of nodes to a netCDF4 dataset with (variant, time, axis); return the distances of series[1:].
 
     All series have the cells of the first. Velocities are compared if the first and another series have them, and are
-    NaN for a series without. `on_time(done, times)` is called after each time.
+    NaN for a series without them. `on_time(done, times)` is called after each time.
     """
     motions, first = [NodeMotion(s) for s in series], series[0]
     moving = [motion.interpolate(float(times[0]))[1] is not None for motion in motions]
@@ -108,6 +108,6 @@ def _create_variables(out: Any, names: list[str], first: Series) -> None:
 
 
 def _take_larger(before: NodeDistance, now: NodeDistance) -> NodeDistance:
-    """Return the larger of two, with the larger RMS of the two."""
+    """Return the one with the larger distance, given the larger RMS of the two."""
     worst, rms = max(now, before, key=lambda row: row.worst), max(now, before, key=lambda row: row.rms)
     return worst._replace(rms=rms.rms, rms_time=rms.rms_time)

@@ -15,8 +15,8 @@ from pipeline.sinks.netcdf import NetcdfSink
 def write_statistics(series: Series, path: Path, on_frame: Callable[[int, int], None] | None = None) -> RunSummary:
     """Write statistics.nc of a series, frame by frame; return the summary with its worst volume ratio.
 
-    `on_frame(done, frames)` is called after each. Raises SeriesError if a frame cannot be read, OutputError if the
-    file cannot be written.
+    `on_frame(done, frames)` is called after each frame. Raises SeriesError if a frame cannot be read, OutputError if
+    the file cannot be written.
     """
 
     def report(frame: Frame, _: RunSummary) -> None:
@@ -28,7 +28,7 @@ def write_statistics(series: Series, path: Path, on_frame: Callable[[int, int], 
 
 
 class _SteadySink:
-    """A sink that gives another one the numbers of the first frame in every frame, NaN if a frame lacks one."""
+    """A sink that passes on the same numbers in every frame, those of the first; NaN if a frame lacks one."""
 
     def __init__(self, sink: NetcdfSink) -> None:
         self._sink = sink
