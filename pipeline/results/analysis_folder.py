@@ -1,6 +1,6 @@
 """The result folder of any series, and of several side by side: datasets, figures and movies.
 
-Frames are read and written one after the other, so memory is that of a few frames however long a series is. Figures
+Frames are read and written one at a time, so memory is that of a few frames, however long a series is. Figures
 and movies of long series show some of the frames, and a note says so.
 """
 
@@ -26,8 +26,8 @@ OnSeriesFrame = Callable[[str, int, int], None]  # name of the series, frames do
 OnDrawing = Callable[[int, int], None]
 
 _DRAWN_VALUES = 10_000_000  # 80 MB of volume ratios in one figure
-_LINES, _DRAWN_POINTS = 2000, 200_000  # figures of up to 2000 cells draw a line each: 4 s of drawing
-_DRAWN_FRAMES = 600  # 20 s of film at 30 a second: a movie holds all surfaces that it shows
+_LINES, _DRAWN_POINTS = 2000, 200_000  # figures of up to 2000 cells draw a line for each: 4 s of drawing
+_DRAWN_FRAMES = 600  # 20 s of film at 30 frames a second: a movie holds all its surfaces in memory
 _FILM_SECONDS = 20.0
 
 
@@ -84,11 +84,12 @@ def compare(
     sources: Sequence[str | os.PathLike[str] | Series], out: str | os.PathLike[str], *, movie: bool = False,
     difference: bool = False, on_frame: OnSeriesFrame | None = None, on_drawing: OnDrawing | None = None,
 ) -> Comparison:  # fmt: skip
-    """Write comparison.nc, volume.png and, with `movie`, movie.mp4 of several series; each one's own in a subfolder.
+    """Write comparison.nc, volume.png and, with `movie`, movie.mp4 of several series, and the analysis of each in a
+    subfolder.
 
     The dataset joins them along `variant`. If their times differ, numbers are interpolated linearly to those of the
     series with the fewest frames, within the time that all cover. Numbers of cells need the same cells in all.
-    `difference` adds the differences to the first series in cells and nodes (displacement, velocity, distance) and
+    `difference` adds the differences from the first series in cells and nodes (displacement, velocity, distance) and
     distance.png; it raises SeriesError if the cells differ.
     """
     series = _make_names_distinct([s if isinstance(s, Series) else read_series(s) for s in sources])
@@ -114,7 +115,7 @@ def compare(
 
 
 def _with_name(on_frame: OnSeriesFrame | None, name: str) -> Callable[[int, int], None] | None:
-    """Return a callback of (done, frames) that passes a name on."""
+    """Return a callback of (done, frames) that also passes a name on."""
     if on_frame is None:
         return None
     return lambda done, frames: on_frame(name, done, frames)
@@ -134,13 +135,13 @@ def _make_names_distinct(series: list[Series]) -> list[Series]:
 
 
 def _draw_volume(path: Path, picture: Path, title: str, name: str | None = None) -> tuple[Path, list[str]]:
-    """Draw the volume ratios of a comparison.nc, or of a statistics.nc with a `name`; note if frames are left out."""
+    """Draw the volume ratios of a comparison.nc, or of a statistics.nc with a `name`; a note if frames are left out."""
     from pipeline.views.plots import write_volume_figure
 
     with open_dataset(path) as dataset:
         frames, count = _choose_frames(dataset), dataset.sizes["time"]
         ratios = dataset[["volume_ratio", "rest_volume"]].isel(time=frames)
-        if name is not None:  # after the choice of frames: expand_dims reads all values
+        if name is not None:  # after the choice of frames, as expand_dims reads all values
             ratios = ratios.assign(volume_ratio=ratios["volume_ratio"].expand_dims(variant=[name]))
         write_volume_figure(ratios, picture, title=title)
     note = f"{picture.name} shows {len(frames)} of {count} frames, the worst among them"

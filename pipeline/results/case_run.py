@@ -67,8 +67,9 @@ def run_case(
     frame, `on_drawing` after each picture of the movie.
 
     Raises CaseError before anything is solved if a variant cannot be built, if the folder holds the result of another
-    case or an unfinished one (without force or resume), or if another run writes there; OutputError if files cannot be
-    written; Interrupted after the step in which SIGINT or SIGTERM arrived. A variant that fails is part of the result.
+    case or an unfinished one (without force or resume), or if another run is writing there; OutputError if files cannot
+    be written; Interrupted after the step in which SIGINT or SIGTERM arrived. A variant that fails is part of the
+    result.
     """
     case = case if isinstance(case, Case) else load_case(case)
     resolved = {name: resolve_mass(case.variant(name)) for name in variants or case.variant_names}
@@ -107,7 +108,7 @@ def _replace_case(case: Case, folder: Path) -> bool:
         redraw = load_case(path).movie != case.movie
     except CaseError:  # missing or unreadable
         redraw = True
-    for name in MOVIE_FILES if redraw else ():  # before case.toml changes: no outdated movie is left
+    for name in MOVIE_FILES if redraw else ():  # before case.toml changes, so that no outdated movie is left
         (folder / name).unlink(missing_ok=True)
     write_whole(path, case.to_toml(folder))
     return redraw

@@ -1,7 +1,7 @@
 """Checkpoints: everything that a run needs to continue bit for bit, with a checksum; the last two are kept.
 
 A file is a SHA-256 in hexadecimal, a line of JSON (step, energy guard, effort since the last frame, summary of the
-written frames) and an .npz of float64 arrays. It is written after a step and before that step's frame, when every frame
+written frames) and an .npz of float64 arrays. It is written after a step and before that step's frame, once every frame
 of an earlier step is on the disk.
 """
 
@@ -43,7 +43,7 @@ class CheckpointFolder:
     def __init__(self, folder: Path, *, seconds: float) -> None:
         self.folder = Path(folder)
         self.seconds = seconds
-        self._since: float | None = None  # counted from the first step: time to compile kernels does not count
+        self._since: float | None = None  # from the first step, so that compiling kernels does not count
 
     def is_due(self, solved: float) -> bool:
         """Return whether a checkpoint is due; `solved` is the solving time since the first step [s]."""
@@ -60,7 +60,7 @@ class CheckpointFolder:
         self._since = time.monotonic()
 
     def iterate_readable(self) -> Iterator[Checkpoint | str]:
-        """Yield the checkpoints, the last one first, and a note in place of a damaged one."""
+        """Yield the checkpoints, the latest first, with a note in place of each damaged one."""
         for path in self._paths():
             try:
                 yield decode_checkpoint(path.read_bytes())
@@ -68,7 +68,7 @@ class CheckpointFolder:
                 yield f"{path}: damaged ({error}); the checkpoint before it is used instead"
 
     def remove(self) -> None:
-        """Remove the folder, which a run that has ended does not need."""
+        """Remove the folder, which a run that has ended no longer needs."""
         try:
             if self.folder.exists():
                 shutil.rmtree(self.folder)

@@ -85,7 +85,7 @@ def _read_steps(path: Path) -> "xarray.Dataset":
 
 
 def _write_paraview_script(dataset: "xarray.Dataset", folder: Path, formats: Mapping[str, str]) -> Path:
-    """Write the script that shows the variants in ParaView, all in one color range."""
+    """Write the script that shows the variants in ParaView, all with one color range."""
     from pipeline.views.track import SAMPLED_CELLS, fit_color_radius
 
     ratio = dataset["volume_ratio"].values[..., :: max(1, dataset.sizes["cell"] // SAMPLED_CELLS)]
@@ -132,7 +132,7 @@ def _has_frames(run: dict[str, Any], folder: Path) -> bool:
 def _belongs_to(run: dict[str, Any], case: Case, folder: Path) -> bool:
     """Return whether a run belongs to a variant of this case, or of its copy in the result folder.
 
-    The path of a mesh file is relative to the case file and so may differ; the variant's own case.toml has it as well.
+    The path of a mesh file is relative to the case file and so may differ; the variant's own case.toml has it too.
     """
     wanted = result_settings(resolve_mass(case.variant(folder.name)))
     if run["case"] == wanted:
@@ -149,7 +149,7 @@ def _belongs_to(run: dict[str, Any], case: Case, folder: Path) -> bool:
 
 
 def redraw_movie(folder: str | os.PathLike[str], *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
-    """Draw the movie of a result folder again from its frames; raises PipelineError if it is not a result folder."""
+    """Redraw the movie of a result folder from its frames; raises PipelineError if it is not a result folder."""
     folder = Path(folder)
     case = load_case(folder / "case.toml")
     runs = find_runs(case, folder)

@@ -10,8 +10,8 @@ from pipeline.problem.problem import Problem
 from pipeline.run.measures import QUANTILES
 from pipeline.sinks.netcdf import CHUNK_FRAMES
 
-# Fitted to eight scenes of 64 to 10 000 cells: the estimate is 0.88 to 1.68 of their size. Numbers of a motion hardly
-# compress: zlib at its best level and base64 give 1.27 of their size. Cells and regular rest points compress well.
+# Fitted to eight scenes of 64 to 10 000 cells: the estimate is 0.88 to 1.68 times their size. A motion's numbers hardly
+# compress: zlib at its best level and base64 give 1.27 times their size. Cells and regular rest points compress well.
 _FRAME_BYTES, _FRAME_CELL_BYTES = 6500, 7
 _ENCODED_SHARE = {"vtu": 1.27, "vtkhdf": 1.0}
 _VALUE_BYTES = {"float64": 8, "float32": 4}

@@ -17,7 +17,7 @@ class Interrupted(KeyboardInterrupt):
 
 @dataclass
 class InterruptRequest:
-    """Whether a signal requested an end; while `solving`, the step is finished first, otherwise it ends at once."""
+    """Whether a signal requested an end; while `solving`, the run finishes its step first, else it ends at once."""
 
     requested: bool = False
     solving: bool = False
@@ -31,7 +31,7 @@ class InterruptRequest:
 
 @contextmanager
 def catch_interrupts() -> Iterator[InterruptRequest]:
-    """Yield the request that SIGINT and SIGTERM set, in the main thread and unless they are ignored."""
+    """Yield the request, which SIGINT and SIGTERM set in the main thread unless they are ignored."""
     request = InterruptRequest()
     before = {}
     if threading.current_thread() is threading.main_thread():

@@ -27,14 +27,14 @@ CHECKPOINTS = "checkpoints"
 
 
 def digest_mesh(mesh: Mesh) -> str:
-    """Return a checksum of points and cells, which shows if a mesh file has changed."""
+    """Return a checksum of points and cells, which shows whether a mesh file has changed."""
     return sha256(mesh.points.tobytes() + mesh.cells.tobytes()).hexdigest()
 
 
 def prepare_resume(
     folder: Path, problem: Problem, output: OutputSpec, *, title: str
 ) -> tuple[Checkpoint | None, list[str]]:
-    """Return the last checkpoint whose frames all exist, None if there is none, and notes.
+    """Return the last checkpoint whose frames all exist, or None if there is none, and notes.
 
     statistics.nc is rebuilt from the frames before the checkpoint, since a killed run may have damaged it. If frames
     are rounded, the values of cells come from the old file and are compared with each frame.

@@ -1,4 +1,4 @@
-"""The run of one variant: solved from the start or a checkpoint, recorded in its folder; run.json has the outcome."""
+"""A run of one variant: solved from the start or a checkpoint and recorded in its folder; run.json has the outcome."""
 
 import json
 import os
@@ -60,7 +60,7 @@ class VariantResult:
 
 
 def read_run(folder: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return a variant's run.json, {} if there is none; raises OutputError if it cannot be read."""
+    """Return a variant's run.json, or {} if there is none; raises OutputError if it cannot be read."""
     path = Path(folder) / "run.json"
     try:
         run = json.loads(path.read_text())
@@ -125,7 +125,7 @@ class VariantRun:
             status = "failed"
             run |= self._describe_failure(error)
         except (Interrupted, OutputError) as error:
-            with suppress(OutputError):  # the disk may be full; "running" can be resumed as well
+            with suppress(OutputError):  # the disk may be full; a run left as "running" can be resumed too
                 self._close(run | {"message": str(error)}, "interrupted")
             raise
         run = self._close(run, status)
@@ -133,7 +133,7 @@ class VariantRun:
         return VariantResult(self.name, self.folder, status, run)
 
     def _open(self, *, resume: bool) -> tuple[dict[str, Any], Checkpoint | None]:
-        """Prepare the folder; return the run.json of the starting run and the checkpoint from which it continues."""
+        """Prepare the folder; return the run.json of the new run and the checkpoint from which it continues, if any."""
         old = read_run(self.folder) if resume else {}
         run = _describe_start(self.case, self.problem)
         checkpoint = None
