@@ -8,11 +8,11 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.views.track import Track, list_drawn_points
 
-# The camera looks at the longer side, turned to one end and raised a little, so that side, end and top are all seen:
-# 23 degrees aside and 17 degrees up. The movie, the page and ParaView's script share these numbers.
-ASIDE, RAISED = -0.42, 0.34  # components along the length and along z, that along the view being 1
-LONG = 1.5  # bodies along x only are seen from -y; nearly square ones, like those along y, from +x
-MARGIN = 0.03  # of a panel, at each side
+# The camera looks at the longer side, turned toward one end and raised a little, so that side, end and top show:
+# 23 degrees to the side and 17 degrees up. The movie, the page and ParaView's script share these numbers.
+ASIDE, RAISED = -0.42, 0.34  # components along the length and along z; the one along the view is 1
+LONG = 1.5  # only bodies long in x are seen from -y; nearly square ones, like those long in y, from +x
+MARGIN = 0.03  # of a panel, on each side
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The frame of every matplotlib figure: one style, drawn by Agg without a display, saved as a whole file."""
+"""The common part of all matplotlib figures: one style, drawn by Agg without a display, saved whole or not at all."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,7 +22,7 @@ STYLE: dict[Any, Any] = {
 def open_figure(
     path: Path, size: tuple[float, float], *, dpi: int, title: str = "", **spacing: float
 ) -> "Iterator[Figure]":
-    """Yield an empty figure of that size [inch] to draw on; afterwards it is written to `path`.
+    """Yield an empty figure of this size [inch] to draw on; afterwards it is written to `path`.
 
     `spacing` is wspace, hspace, … of matplotlib's constrained layout. After an exception nothing is written.
     Raises OutputError if the file cannot be written.
@@ -39,7 +39,7 @@ def open_figure(
             figure.suptitle(title, fontsize=14, fontweight="bold", color=INK)
         yield figure
         with replace_file(path) as temporary:
-            # no version in the file: the same results are the same bytes
+            # no version in the file, so that the same results give the same bytes
             figure.savefig(temporary, metadata={"Software": None} if path.suffix == ".png" else None)
 
 

@@ -1,6 +1,6 @@
 """Colors of all figures, films and pages: each is defined here once.
 
-The hues are those of Okabe and Ito: they differ for any color vision, and in lightness when printed in gray.
+The hues are those of Okabe and Ito: distinct for any color vision, and different in lightness when printed in gray.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
 SKY, PURPLE, ORANGE = "#56B4E9", "#CC79A7", "#E69F00"
 INK, SOFT, FAINT, GRID = "#1b1e28", "#626875", "#b0b5bf", "#e3e5ea"  # text, secondary text, marks, grid lines
-SLATE = "#7d8597"  # a neutral series beside the hues: another program, the mesh
+SLATE = "#7d8597"  # a neutral color beside the hues, as for another program or the mesh
 FILM_INK, FILM_RULE = "#181b26", "#dee1e7"  # text and lines between the panels of a film
 CURVE_AHEAD, FAILED = "#c6cbd5", "#be122c"  # of a film: the curve after the present, a series that ended early
 

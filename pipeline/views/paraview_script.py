@@ -3,7 +3,7 @@
     paraview --script=open_in_paraview.py          or, in the window: Tools > Python Shell > Run Script
     pvbatch open_in_paraview.py --screenshot picture.png [--time 0.35]     (without a display: xvfb-run -a pvbatch …)
 
-Points are at their deformed positions: do not apply Warp By Vector with `displacement`, that would double the motion.
+Points are at their deformed positions: do not apply Warp By Vector with `displacement`, which would double the motion.
 """
 
 import math
@@ -16,7 +16,7 @@ from paraview import simple
 # BEGIN VALUES (views/paraview.py writes those of a result folder here)
 RADIUS = 1.0  # colors from 1 - RADIUS to 1 + RADIUS
 VARIANTS = [("name", "name/series.pvd")]  # name, file
-FOLDER = ""  # that of this file when it was written
+FOLDER = ""  # the folder of this file when it was written
 ASIDE, RAISED, LONG = 0.0, 0.0, 1.0  # the movie's camera: see views/camera.py
 # END VALUES
 
@@ -27,7 +27,7 @@ PICTURE_SIZE = [1280, 720]
 
 
 def find_folder() -> str:
-    """Return the folder of this file; in ParaView's window, which hides it, the one it was written to or started in."""
+    """Return the folder of this file; if ParaView's window hides it, the one it was written to or started in."""
     own = [os.path.dirname(os.path.abspath(__file__))] if "__file__" in globals() else []
     for folder in [*own, FOLDER, os.getcwd()]:
         if os.path.isfile(os.path.join(folder, *VARIANTS[0][1].split("/"))):
@@ -61,7 +61,7 @@ def measure_bounds(readers: list[Any]) -> tuple[list[float], list[float]]:
 
 
 def choose_directions(size: list[float]) -> tuple[list[float], list[float], list[float]]:
-    """Return unit vectors to the eye, to the right and up: z up, the longer of x and y to the side."""
+    """Return unit vectors toward the eye, to the right and up: z is up, the longer of x and y lies across."""
     if size[2] < 1e-9 * max(size):  # planar
         return [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
     a, b = (ASIDE, -1.0) if size[0] > LONG * size[1] else (1.0, ASIDE)
@@ -85,14 +85,14 @@ def show_body(view: Any, reader: Any, name: str, place: list[float], table: Any)
 
 
 def show_text(view: Any, item: Any, size: int) -> Any:
-    """Show a text and return its display."""
+    """Show text and return its display."""
     text = simple.Show(item, view, "TextSourceRepresentation")
     text.Color, text.FontSize = INK, size
     return text
 
 
 def show_color_bar(view: Any, display: Any, table: Any) -> None:
-    """Show the one bar: a diverging map about 1, its range fixed for all times."""
+    """Show the shared color bar: a diverging map about 1, with one range for all times."""
     display.SetScalarBarVisibility(view, True)
     bar = simple.GetScalarBar(table, view)
     bar.Title, bar.ComponentTitle = "volume ratio V / V0", ""
@@ -122,7 +122,7 @@ def build_scene() -> Any:
     low, high = measure_bounds(readers)
     size = [b - a for a, b in zip(low, high)]
     eye, right, up = choose_directions(size)
-    # a box of these sides, seen from there
+    # those of the box as seen from there
     width, height = (sum(abs(a) * b for a, b in zip(axis, size)) for axis in (right, up))
     step, count = width * (1 + GAP), len(readers)
     aspect = view.ViewSize[0] / max(view.ViewSize[1], 1)
@@ -133,7 +133,7 @@ def build_scene() -> Any:
         label = simple.Text(registrationName=name + ", label", Text=name.replace("_", " "))
         text = show_text(view, label, 18)
         text.WindowLocation = "Any Location"
-        # centered: a letter is about 0.009 of the window wide
+        # centered: a letter is about 0.009 of the window's width
         across = 0.5 + (i - (count - 1) / 2) * step / (2 * half * aspect) - 0.0045 * len(name)
         text.Position = [across, min(0.53 + height / (4 * half), 0.94)]
     show_color_bar(view, display, table)
@@ -146,7 +146,7 @@ def build_scene() -> Any:
 
 
 def read_option(name: str) -> str:
-    """Return the argument after an option on the command line; empty without it."""
+    """Return the argument after an option on the command line; empty if there is none."""
     return sys.argv[sys.argv.index(name) + 1] if name in sys.argv[1:-1] else ""
 
 

@@ -50,7 +50,7 @@ def write_volume_figure(dataset: "xarray.Dataset", path: Path, *, title: str) ->
 def write_energy_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
     """Write kinetic, elastic, potential and total energy over time, one panel for each variant.
 
-    The total is that of the parts present. Raises OutputError if the dataset has none of them or if the
+    The total is the sum of the parts present. Raises OutputError if the dataset has none of them or if the
     file cannot be written.
     """
     present = [name for name in ENERGIES if f"{name}_energy" in dataset]
@@ -127,7 +127,7 @@ def _list_variants(dataset: "xarray.Dataset") -> list[str]:
 
 
 def _choose_prefix(largest: float) -> tuple[float, str]:
-    """Return the power of 1000, and its letter, that leaves one to three digits before the point."""
+    """Return the power of 1000 that leaves one to three digits before the point, and its letter."""
     return next(((f, p) for f, p in ((1e9, "G"), (1e6, "M"), (1e3, "k")) if largest >= f), (1.0, ""))
 
 
@@ -136,7 +136,7 @@ def _count_columns(count: int) -> int:
 
 
 def _open_panels(path: Path, count: int, title: str) -> "AbstractContextManager[Figure]":
-    """Return a figure, to be entered, with room for `count` panels, at most three in a row."""
+    """Return the context manager of a figure with room for `count` panels, at most three in a row."""
     columns = _count_columns(count)
     size = (2.0 + 4.0 * columns + (2.0 if columns == 1 else 0), 1.2 + 3.4 * -(-count // columns))
     return open_figure(path, size, dpi=150, title=title, wspace=0.04, hspace=0.06)
@@ -155,13 +155,13 @@ def _add_legend(figure: "Figure", axes: "Axes", *, columns: int) -> None:
 
 
 def _label_outer(panels: "list[Axes]", quantity: str) -> None:
-    """Name the axes at the left and at the bottom of the grid."""
+    """Label the axes at the left and at the bottom of the grid."""
     for axes in panels:
         spec = axes.get_subplotspec()
         assert spec is not None
         if spec.is_first_col():
             axes.set_ylabel(quantity)
-        # a panel with nothing below it shows the times, also if an empty place of the grid is below
+        # a panel without another one below it shows the times, even if the grid has an empty place there
         below = spec.rowspan.stop * spec.get_gridspec().ncols + spec.colspan.start
         if below >= len(panels):
             axes.set_xlabel("time [s]")
@@ -220,7 +220,7 @@ def _choose_time_limits(time: Floats) -> tuple[float, float]:
 
 
 def _set_limits(panels: "list[Axes]", time: Floats, ratio: Floats) -> None:
-    """Give all panels the range of all values, at least 1 % to either side of 1."""
+    """Give all panels the range of all values, at least 1 % on either side of 1."""
     finite = ratio[np.isfinite(ratio)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (1.0, 1.0)
     low, high = min(low, 0.99), max(high, 1.01)
@@ -229,7 +229,7 @@ def _set_limits(panels: "list[Axes]", time: Floats, ratio: Floats) -> None:
 
 
 def _add_volume_axis(axes: "Axes", rest: float, unit: str) -> None:
-    """Add an axis of volumes at the right: all cells have the same rest volume, so one curve shows both."""
+    """Add an axis of volumes on the right: all cells have the same rest volume, so one curve shows both."""
 
     def to_volume(ratio: Any) -> Any:
         return ratio * rest

@@ -128,8 +128,8 @@ def find_sharp_edges(
 ) -> tuple[Ints, Ints]:
     """Return the creases (k, 2) of a triangle surface, and the edges (m, 2) of its contour seen from a direction.
 
-    Faces meet in a crease at more than `angle` degrees. An edge of a single triangle is a crease too: in the plane
-    those are the outline.
+    Faces meet in a crease at more than `angle` degrees. An edge of a single triangle is a crease too: in a planar mesh
+    these are the outline.
     """
     corners = points[faces].astype(np.float64)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -1,1 +1,1 @@
-"""A result as one web page that opens from disk: texts, movie, bodies in 3D, curves, worst cells."""
+"""A result as one web page that opens from disk: text, movie, bodies in 3D, curves, worst cells."""

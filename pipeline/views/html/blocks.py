@@ -21,14 +21,14 @@ class Heading:
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A text; `code` and **strong** are its only markup."""
+    """Text; `code` and **strong** are its only markup."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class TableBlock:
-    """Rows of texts under a heading row."""
+    """Rows of text under a heading row."""
 
     head: tuple[str, ...]
     rows: Sequence[Sequence[str]]
@@ -45,7 +45,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class CodeListing:
-    """A preformatted text, such as a file or commands."""
+    """Preformatted text, such as a file or commands."""
 
     text: str
 
@@ -151,7 +151,7 @@ def _render_cell(text: str) -> str:
 
 
 def _render_inline(text: str) -> str:
-    """Return the HTML of a text with `code` and **strong**."""
+    """Return the HTML of text with `code` and **strong**."""
     safe = escape(text, quote=False)
     safe = re.sub(r"`([^`]+)`", r"<code>\1</code>", safe)
     return re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", safe)

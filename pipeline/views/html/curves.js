@@ -1,5 +1,5 @@
 "use strict";
-// Curves over time as SVG: pointing reads them, keys step through time, buttons toggle lines, all share one time axis.
+// Curves over time as SVG: the pointer reads them, keys step through time, buttons toggle lines; all share a time axis.
 (() => {
   const SVG = "http://www.w3.org/2000/svg";
   const { data } = report;
@@ -210,7 +210,7 @@
     event.preventDefault();
   }
 
-  // scale the range of times shown, centered on the present time
+  // scale the range of times shown, centered on the current time
   function zoom(factor) {
     const whole = report.last - report.first;
     const span = Math.min(Math.max((view.to - view.from) * factor, whole / 1000), whole);

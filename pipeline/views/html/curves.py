@@ -10,11 +10,11 @@ from pipeline.views.palette import BANDS, ENERGIES
 if TYPE_CHECKING:
     import xarray
 
-MOST_TIMES = 1000  # more than a curve on a screen has pixels
+MOST_TIMES = 1000  # more than the pixels across a curve on a screen
 
 
 def choose_times(statistics: "xarray.Dataset") -> list[int]:
-    """Return the frames of a curve: evenly spaced ones and that of the largest change."""
+    """Return the frames of a curve: evenly spaced ones and the one with the largest change."""
     count = statistics.sizes["time"]
     if count <= MOST_TIMES:
         return list(range(count))
@@ -47,5 +47,5 @@ def collect_curves(statistics: "xarray.Dataset") -> dict[str, Any]:
 
 
 def round_numbers(values: Floats, digits: int = 6) -> list[float | None]:
-    """Return numbers rounded to `digits` significant digits; None if not finite: JSON has no NaN."""
+    """Return numbers rounded to `digits` significant digits; None if not finite, as JSON has no NaN."""
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in np.asarray(values).tolist()]

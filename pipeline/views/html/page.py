@@ -182,7 +182,7 @@ def _render_movie(content: PageContent, folder: Path) -> str:
 
 
 def _render_motion(solids: Solids | None, labels: Sequence[str]) -> str:
-    """Return HTML of the time slider, of places for the bodies, and of places for the curves."""
+    """Return HTML of the time slider and of the places for bodies and curves."""
     boxes = "".join(
         f'<label><input type="checkbox" value="{i}"> {escape(label)}</label>' for i, label in enumerate(labels)
     )

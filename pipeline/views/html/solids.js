@@ -1,5 +1,5 @@
 "use strict";
-// The bodies: one k3d viewer each, with one common view; each shows its last frame that is not later than the time.
+// The bodies: one k3d viewer each, with one common view; each shows its last frame up to the current time.
 (async () => {
   const meta = report.data.solids;
   const home = document.getElementById("bodies");
@@ -23,7 +23,7 @@
     return library;
   }
 
-  // one camera for all, fitted to the whole motion of the bodies shown: [position, target, up] as k3d takes it
+  // one camera for all, fitted to the whole motion of the bodies shown: [position, target, up], as k3d expects it
   function fitCamera(width, height) {
     const shown = panels.filter((panel) => !panel.figure.hidden).map((panel) => panel.body);
     const low = [0, 1, 2].map((i) => Math.min(...shown.map((body) => body.low[i])));

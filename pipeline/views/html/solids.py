@@ -36,7 +36,7 @@ from pipeline.views.track import (
 OnFrameRead = Callable[[str, int, int], None]  # label of the series, frames done, frames in all
 MOST_BYTES = 16_000_000  # of coordinates and colors before they are packed: 5 to 8 MB of page
 MOST_FRAMES = 400  # of a body
-MOST_EDGES = 4000  # faces of a body up to which the edges of its cells are drawn
+MOST_EDGES = 4000  # faces of a body; with more, the edges of its cells are not drawn
 _STEPS, _GRAIN = 254, 2.0**-15
 _OUTLINE = int.from_bytes(bytes(OUTLINE), "big")
 
@@ -94,7 +94,7 @@ def pack_solids(
 
 
 def _count_calls(on_frame: OnFrameRead, label: str, frames: int) -> Callable[[], None]:
-    """Return a function that passes the number of its call to `on_frame`."""
+    """Return a function that passes the number of its calls to `on_frame`."""
     done = count(1)
     return lambda: on_frame(label, next(done), frames)
 
@@ -107,11 +107,11 @@ def _describe_body(track: Track, camera: Camera) -> dict[str, Any]:
 
 
 def _count_affordable_frames(series: Sequence[Series]) -> int:
-    """Return the number of frames of every series that fit into the page."""
+    """Return the number of frames per series that fit into the page."""
     size = 0
     for recorded in series:
         faces, _ = find_drawn_faces(recorded.mesh)
-        bodies = 2 if len(faces) <= MOST_EDGES else 1  # the edges are a body of their own
+        bodies = 2 if len(faces) <= MOST_EDGES else 1  # the edges count as another body
         size += 4 * len(faces) + 12 * bodies * len(np.unique(faces))
     return max(2, min(MOST_FRAMES, MOST_BYTES // size))
 
@@ -127,7 +127,7 @@ def _format_ordinal(n: int) -> str:
 
 
 def _pack_scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[float, ...]) -> str:
-    """Return k3d's binary snapshot of a body, base64; its times are the indices of frames."""
+    """Return k3d's binary snapshot of a body, in base64; its times are the indices of frames."""
     import k3d
 
     size = float(np.linalg.norm(np.ptp(track.rest, axis=0)))
@@ -150,7 +150,7 @@ def _pack_scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[fl
         track.rest, edges.astype(np.uint32), indices_type="segment", shader="simple", color=_OUTLINE, name="rest shape"
     )
     for i, item in enumerate(plot.objects):
-        item.id = i + 1  # otherwise an address in memory: the same results are the same bytes
+        item.id = i + 1  # not an address in memory, so that the same results give the same bytes
     return base64.b64encode(plot.get_binary_snapshot()).decode("ascii")
 
 
@@ -174,7 +174,7 @@ def _make_color_map(palette: Palette) -> list[float]:
 
 
 def _pack_viewer() -> str:
-    """Return k3d's viewer, zlib and base64, without its unused fonts for formulas, a third of it."""
+    """Return k3d's viewer, in zlib and base64, without its unused fonts for formulas, a third of its size."""
     program = files("k3d").joinpath("static/standalone.js").read_bytes()
     program = re.sub(rb"data:font/woff2;base64,[A-Za-z0-9+/=]+", b"data:,", program)
     program = re.sub(rb',url\(fonts/[^)]*\) format\("\w+"\)', b"", program)

@@ -1,4 +1,4 @@
-"""The cells with the largest volume change, searched a few frames at a time."""
+"""The cells with the largest volume change, found by reading a few frames at a time."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING

@@ -25,10 +25,10 @@ def _find_ffmpeg() -> str:
 
 
 class Encoder:
-    """Writes RGB frames to a complete .mp4, or to nothing: a file beside it is renamed at the end.
+    """Writes RGB frames to a complete .mp4 or leaves none: a temporary file beside it is renamed at the end.
 
     ffmpeg is started directly: imageio_ffmpeg.write_frames lets its messages through to the terminal and ignores
-    its exit code, so that a full disk would pass for success.
+    its exit code, so a full disk would pass for success.
     """
 
     def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:

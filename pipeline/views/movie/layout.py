@@ -66,7 +66,7 @@ class PictureLayout:
 
 
 def choose_layout(count: int, size: tuple[int, int], camera: Camera) -> PictureLayout:
-    """Return the grid that shows bodies largest; side by side, unless another grid is a third better."""
+    """Return the grid that shows bodies largest; a single row, unless another grid is a third better."""
 
     def fit_pixel(layout: PictureLayout) -> float:
         left, top, right, bottom = layout.place_body(layout.panels[0])

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from PIL import Image
 
 SHORTEST = 2.0  # seconds: a shorter film cannot be followed
-SMALLEST = (320, 180)  # texts of a smaller film cannot be read
+SMALLEST = (320, 180)  # the text of a smaller film cannot be read
 
 
 @dataclass(frozen=True)
 class MovieSummary:
-    """Length, speed and colors of a film that was written."""
+    """Length, speed and colors of a finished film."""
 
     frames: int
     seconds: float
@@ -61,9 +61,9 @@ def write_movie(
 ) -> MovieSummary:  # fmt: skip
     """Write one to four series side by side as H.264, and the moment of the largest volume change as a PNG.
 
-    Each frame of film shows the last recorded frame of every series that is not later; a series that ends before the
+    Each frame of film shows the last recorded frame of every series up to its time; a series that ends before the
     others keeps its last frame, dimmed. `on_frame(done, frames)` is called after each frame of film. Raises
-    OutputError without OpenGL or ffmpeg, if a file cannot be written and for impossible sizes.
+    OutputError without OpenGL or ffmpeg, if a file cannot be written, and for impossible sizes.
     """
     from pipeline.system.opengl import ensure_opengl  # not at the top: `python -m` runs this module
 
@@ -76,7 +76,7 @@ def write_movie(
         if poster is not None:
             with replace_file(Path(poster)) as temporary:
                 studio.draw(moment).save(temporary, format="PNG", optimize=True)
-        studio.scenes = 0  # those of the film
+        studio.scenes = 0  # only those of the film count
         with Encoder(Path(path), size, fps) as encoder:
             for k in range(line.frames):
                 encoder.write(studio.draw(line.find_time(k)).tobytes())
@@ -110,7 +110,7 @@ def plan_timeline(tracks: Sequence[Track], speed: float, fps: float) -> Timeline
     if span <= 0:
         return Timeline(start, end, speed, round(SHORTEST * fps), fps)
     seconds = max(span / speed, SHORTEST)
-    # one frame more than intervals: the first and the last instant are both shown
+    # one more frame than intervals, as both the first and the last instant are shown
     frames = int(np.ceil(seconds * fps - 1e-6)) + 1
     return Timeline(start, end, span / seconds, frames, fps)
 
@@ -128,7 +128,7 @@ def find_poster_time(tracks: Sequence[Track]) -> float:
 
 
 class _Studio:
-    """Draws the picture of any time; bodies that have not changed since the last picture are not drawn again."""
+    """Draws the picture at any time; bodies that have not changed since the last picture are not drawn again."""
 
     def __init__(self, tracks: Sequence[Track], title: str, size: tuple[int, int], note: str) -> None:
         self._tracks = tracks

@@ -25,7 +25,7 @@ USUAL = "total volume 100.0 %     V/V₀ from 0.00 to 0.000"  # the text that si
 
 @cache
 def load_font(size: int, bold: bool = False) -> "ImageFont.FreeTypeFont":
-    """Return DejaVu Sans as bundled with matplotlib: the same picture on every machine."""
+    """Return DejaVu Sans as bundled with matplotlib, so that the picture is the same on every machine."""
     import matplotlib
     from PIL import ImageFont
 
@@ -34,7 +34,7 @@ def load_font(size: int, bold: bool = False) -> "ImageFont.FreeTypeFont":
 
 
 def _fit_font(draw: Any, text: str, size: float, width: float, bold: bool = False) -> "ImageFont.FreeTypeFont":
-    """Return the largest font up to a size in which a text is no wider than `width`; at least 6 pixels."""
+    """Return the largest font up to a size in which text is no wider than `width`; at least 6 pixels."""
     pixels = int(size)
     while pixels > 6 and draw.textlength(text, load_font(pixels, bold)) > width:
         pixels -= 1
@@ -56,13 +56,13 @@ class Page:
         # the axis spans at least half a percent: rounding must not look like a drift
         self._total_low = min(float(totals.min()), 0.9975)
         self._total_high = max(float(totals.max()), 1.0025)
-        # as many decimals as tell the frames apart
+        # enough decimals to tell the frames apart
         step = min((float(np.diff(t.times).min()) for t in tracks if len(t.times) > 1), default=1.0)
         self._time_digits = int(np.clip(np.ceil(-np.log10(max(step, 1e-9))), 2, 6))
         self._still = self._draw_still(title, note, camera)
 
     def compose(self, panels: "Sequence[Image.Image]", states: Sequence[PanelState], time: float) -> "Image.Image":
-        """Return the page with these pictures of the bodies, their numbers, and the clock at a time."""
+        """Return the page with these pictures of the bodies, their numbers, and the clock at this time."""
         from PIL import ImageDraw
 
         page = self._still.copy()
@@ -125,7 +125,7 @@ class Page:
         return list(zip(xs.tolist(), ys.tolist(), strict=True))
 
     def _draw_still(self, title: str, note: str, camera: Camera) -> "Image.Image":
-        """Return the static page with curves still ahead; the same with curves passed is stored for pasting."""
+        """Return the static page with the curves as still ahead; store the page with them as passed, for pasting."""
         from PIL import Image, ImageDraw
 
         pages = []
@@ -177,7 +177,7 @@ class Page:
             draw.text((name_x, (top + bottom) / 2 + (i - 0.5) * 15 * o * s), word, SOFT, face, anchor="mm")
 
     def _draw_color_bar(self, page: "Image.Image", draw: Any) -> None:
-        """Draw the shared bar; an end that values exceed is pointed and has a ≤ or ≥."""
+        """Draw the shared bar; an end that values exceed is pointed and marked ≤ or ≥."""
         from PIL import Image
 
         o, s, layout = OVERSAMPLING, self._layout.unit, self._layout

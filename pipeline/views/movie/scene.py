@@ -21,7 +21,7 @@ CREASE_COLOR, EDGE_COLOR = (0.16, 0.18, 0.24), (0.13, 0.15, 0.22)
 PanelState = tuple[int, bool]  # index of the frame shown, whether the series has ended
 # mostly ambient: a shaded color must still be found on the color bar; the faint remainder shows the relief
 AMBIENT, DIFFUSE = 0.62, 0.50
-EDGE_OPACITY = 0.42  # of the lines between cells at most: seen, but the color of a cell stays its own
+EDGE_OPACITY = 0.42  # the largest, of the lines between cells: they show, but cells keep their colors
 
 
 class Canvas:
@@ -62,7 +62,7 @@ class Canvas:
         self._grabber.Update()
         size = self._grabber.GetOutput().GetDimensions()[:2]
         pixels = vtk_to_numpy(self._grabber.GetOutput().GetPointData().GetScalars())
-        # VTK's first row is the lowest: hence -1
+        # -1, as VTK's first row is the lowest
         whole = Image.frombuffer("RGB", size, pixels, "raw", "RGB", 0, -1).reduce(OVERSAMPLING)
         width, height = self._panel
         return [whole.crop((i * width, 0, (i + 1) * width, height)) for i in range(self._count)]
