@@ -144,8 +144,7 @@ def join_variants(statistics: Mapping[str, Path], path: Path, *, title: str) -> 
 def join_series(
     plan: ComparisonPlan, statistics: Sequence[Path], path: Path, on_time: Callable[[int, int], None] | None = None
 ) -> tuple[NodeDistance, ...]:
-    """Write comparison.nc of several series, given the statistics.nc of each; return the distances of nodes, if
-    planned.
+    """Write comparison.nc of several series, given a statistics.nc of each; return the distances of nodes if planned.
 
     Only numbers that all series have are joined; those of cells, only if the cells are the same. `on_time(done, times)`
     is called while nodes are compared. Raises SeriesError, OutputError.

@@ -1,4 +1,4 @@
-"""Rows of the method tables that a study does not use: a new law or stepper is in the study, or said to be left out."""
+"""Rows of the method tables that a study does not use: a new law or stepper is in the study or reported as left out."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any

@@ -1,7 +1,7 @@
-"""Study points as tasks of dask.distributed, each result written as soon as it is there, so that a sweep can resume.
+"""Study points as tasks of dask.distributed, each result written as soon as it is ready, so that a sweep can resume.
 
 One point is one task, on a local cluster of single-threaded processes unless an existing scheduler is named. A point
-whose worker dies is computed again, in the end alone; if its worker dies every time, that is an error of the point.
+whose worker dies is computed again, at last alone; if its worker dies every time, that counts as the point's error.
 Without the package `distributed` (the extra `study`) the points are computed one after the other in this process.
 """
 
@@ -62,7 +62,7 @@ def run_sweep(
     """Return the result of every point by its key, in the order of the points; each is in folder/points/<key>.json.
 
     `task` takes the settings and returns JSON values; the workers must be able to import it. NaN and infinities become
-    None. An exception of a task becomes its result, {"error": "SolveError: …"}, with "unexpected" if it is no
+    None. An exception in a task becomes its result, {"error": "SolveError: …"}, with "unexpected" if it is not a
     PipelineError or the worker died. A point is not computed again if the folder has its result for equal settings,
     from this version of the package and without "unexpected". `timed` points run one at a time. `on_result` gets each
     point, the number of points done and their total. Raises PipelineError if the scheduler does not answer or goes
@@ -118,7 +118,7 @@ def _read_result(point: Point, folder: Path) -> PointResult | None:
         document = json.loads(_make_path(point, folder).read_text())
         same = (document["settings"], document["version"]) == (to_json(point.settings), VERSION)
         return dict(document["result"]) if same and "unexpected" not in document["result"] else None
-    except (OSError, ValueError, KeyError, TypeError):  # no such file, or no file of ours
+    except (OSError, ValueError, KeyError, TypeError):  # no such file, or not one of ours
         return None
 
 
@@ -131,7 +131,7 @@ def _write_result(point: Point, result: PointResult, folder: Path) -> PointResul
 def _compute_points(
     task: Task, points: Sequence[Point], scheduler: str | None, timed: bool
 ) -> Iterator[tuple[Point, PointResult]]:
-    """Yield each point with its result as soon as it is there."""
+    """Yield each point with its result as soon as it is ready."""
     if find_spec("distributed") is None:
         if scheduler is not None:
             raise PipelineError(
@@ -144,7 +144,7 @@ def _compute_points(
         lost = []
         for point, result in _run_points(client, task, points, 1 if timed else len(points)):
             if "lost" in result:
-                lost.append(point)  # perhaps by another point on that worker: the second time each runs alone
+                lost.append(point)  # perhaps killed by another point there: the second time each runs alone
             else:
                 yield point, result
         for point, result in _run_points(client, task, lost, 1):
@@ -165,7 +165,7 @@ def _open_client(scheduler: str | None, most: int) -> Iterator[Any]:
         with client:
             yield client
         return
-    # without a memory limit: a worker paused for its memory would never end, one killed by the system does
+    # without a memory limit: a worker paused by the limit would never end, one killed by the system does
     options = {"n_workers": min(most, dask.system.CPU_COUNT), "threads_per_worker": 1, "memory_limit": 0}
     dask_log = logging.getLogger("distributed")
     level = dask_log.level
@@ -219,7 +219,7 @@ def _run_points(client: Any, task: Task, points: Sequence[Point], most: int) -> 
 
 
 def run_task(task: Task, settings: Mapping[str, Any]) -> PointResult:
-    """Return the task's result, on one thread, or its error as {"error": text}, "unexpected" if it is none of ours."""
+    """Return the task's result, on one thread, or its error as {"error": text}, "unexpected" if it is not ours."""
     try:
         with threadpool_limits(limits=1):
             return task(settings)

@@ -10,7 +10,7 @@ _RIVAL_HEAD = "other programs     tets         ms   ns a tet   set-up s   ours m
 
 
 def format_costs(rows: Sequence[CostRow], rivals: Sequence[Rival]) -> list[str]:
-    """Return the table, a line for each point, then the cost of Newton's iterations, then the other programs."""
+    """Return the table, with a line for each point, then the cost of Newton's iterations, then the other programs."""
     beside = [rival.name for rival in rivals if rival.beside]
     lines = ["   ".join([_HEAD, *beside])]
     lines += [_format_row(row) for row in rows if row["method"] in METHODS]
@@ -35,7 +35,7 @@ def _format_failure(row: CostRow) -> str:
 
 
 def _list_newton_lines(rows: Sequence[CostRow]) -> list[str]:
-    """Return the cost of an iteration of the converged method over that of the one solve on the same mesh."""
+    """Return the cost of an iteration of the converged method over that of one_solve on the same mesh."""
     good = [row for row in rows if not row["error"]]
     one_solve = {(row["case"], row["tets"]): row["ms"] for row in good if row["method"] == "one_solve"}
     lines = []

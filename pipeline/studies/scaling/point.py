@@ -13,7 +13,7 @@ from pipeline.system.threads import make_thread_environment
 
 
 def measure_in_process(task: str, settings: dict[str, Any]) -> dict[str, Any]:
-    """Return the row of a task "module:function"; raises SolveError with the last line of the process' errors."""
+    """Return the row of a task "module:function"; raises SolveError with the last line of the process's errors."""
     command = make_command(f"from {__name__} import write_row; write_row()", task, json.dumps(settings))
     environment = os.environ | make_thread_environment(1)
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)

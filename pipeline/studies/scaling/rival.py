@@ -10,10 +10,10 @@ from typing import Any
 class Rival:
     """A program that is measured on the same meshes, and the differences from ours.
 
-    `task` names a function as "module:function" for a process of its own. It takes a point's settings and returns a row
-    with method, version, cells, tets, nodes, dt, ms, ns_per_tet, ours_ms, setup_s, peak_MB and differs.
-    With `beside`, one of our methods, it takes that method's problem and returns functions that each start the motion
-    and return its step: they take turns with ours, and the fastest is `baseline_ms` of our row.
+    `task` names a function as "module:function", which runs in its own process. It takes a point's settings and returns
+    a row with method, version, cells, tets, nodes, dt, ms, ns_per_tet, ours_ms, setup_s, peak_MB and differs.
+    If `beside` names one of our methods, it takes that method's problem and returns functions that each start the
+    motion and return its step; these take turns with ours, and the fastest is `baseline_ms` of our row.
     """
 
     name: str

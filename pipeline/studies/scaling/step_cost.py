@@ -1,6 +1,6 @@
-"""The cost of a step of one method on one mesh, measured in a process of its own: so is the peak of memory.
+"""The cost of a step of one method on one mesh, and its peak memory, measured in a process of its own.
 
-Times are of the processor and not of the clock: on a shared core, a call that outlasts its turn would seem slower.
+Times are processor times, not wall times: on a shared core, a call that outlasts its turn would seem slower.
 """
 
 import sys
@@ -32,10 +32,10 @@ METHODS: dict[str, dict[str, Any]] = {
     "explicit": {"method.stepper": "symplectic_euler", "method.mass": "lumped"},
 }
 _LIMIT_SHARE = 0.5  # the explicit step over its limit: far enough below it for a moving body
-_SECONDS, _MOST_STEPS = 3.0, 200  # a method is timed until it has had either: enough for a median on a busy machine
-_LEAST_STEPS, _LEAST_SECONDS = 3, 0.3  # and for at least both
+_SECONDS, _MOST_STEPS = 3.0, 200  # a method is timed until it reaches either: enough for a median on a busy machine
+_LEAST_STEPS, _LEAST_SECONDS = 3, 0.3  # but at least for both of these
 _TURNS = 3  # alternations with a rival
-_MOST_CELLS_PREPARED_TWICE = 20_000  # above, loading kernels hardly counts beside the set-up
+_MOST_CELLS_PREPARED_TWICE = 20_000  # above this, loading kernels hardly counts beside the set-up
 
 
 def measure_step_cost(settings: dict[str, Any]) -> CostRow:
@@ -46,7 +46,7 @@ def measure_step_cost(settings: dict[str, Any]) -> CostRow:
     ms, work = _time_steps(stepper, problem)
     cells = len(body.mesh.cells)
     solvers = list_linear_solvers(body, problem.dt, problem.method)
-    peak, baseline = read_peak_megabytes(), None  # the peak before the rival, which may need more
+    peak, baseline = read_peak_megabytes(), None  # read before the rival runs, which may need more
     beside = settings.get("beside")
     if beside:
         ms, baseline = _race(stepper, problem, import_task(beside["task"])(problem))
@@ -72,9 +72,9 @@ def measure_step_cost(settings: dict[str, Any]) -> CostRow:
 
 
 def _time_setup(problem: Problem, settings: dict[str, Any]) -> tuple[Stepper, float, float | None]:
-    """Return the stepper, the seconds of its set-up, and those of loading kernels, once a process.
+    """Return the stepper, the seconds of its set-up, and those of loading kernels, once per process.
 
-    Loading is the excess of the first of two set-ups; of a large mesh only one is made, and loading is part of it.
+    Loading is the excess of the first of two set-ups; for a large mesh only one is made, and loading is part of it.
     """
     began = time.perf_counter()
     stepper = problem.prepare()
@@ -105,7 +105,7 @@ def measure_median_ms(call: Callable[[], object]) -> float:
 
 
 def _time_calls(call: Callable[[], object], *, least: int, total: float) -> list[float]:
-    """Return the seconds of each call but the first: at least so many, until their sum reaches the total."""
+    """Return the seconds of each call but the first: of `least` calls or more, until their sum reaches `total`."""
     call()
     times: list[float] = []
     while len(times) < least or (sum(times) < total and len(times) < _MOST_STEPS):
@@ -143,7 +143,7 @@ def _race(
 
 
 def _start_motion(stepper: Stepper, problem: Problem, reports: list[StepReport] | None = None) -> Callable[[], None]:
-    """Return a function that makes the next step from the problem's start, and appends its report."""
+    """Return a function that makes one step per call, from the problem's start on, and appends its report."""
     state = problem.start
 
     def step() -> None:
@@ -158,8 +158,9 @@ def _start_motion(stepper: Stepper, problem: Problem, reports: list[StepReport] 
 def _count_bytes(problem: Problem, method: str, work: dict[str, float], solvers: list[dict[str, str]]) -> float:
     """Return the least number of bytes that a step reads and writes, vectors left out: cells, matrix and factor.
 
-    A cell is its corners, gradients, volume and blocks; the matrix is written once and read once an iteration; a factor
-    is read twice a solve, or an iteration. If auto solves linearly, it still visits every cell once to check that.
+    A cell counts its corners, gradients, volume and blocks; the matrix is written once and read once per iteration; a
+    factor is read twice per solve, or per iteration. If auto solves linearly, it still visits every cell once to check
+    that.
     """
     body, pattern = problem.body, problem.body.free_pattern
     per_cell = body.mesh.shape_gradients[0, 1:].nbytes + 8 + 4 * body.mesh.cells.shape[1]
@@ -178,8 +179,8 @@ def _count_bytes(problem: Problem, method: str, work: dict[str, float], solvers:
 
 
 def read_peak_megabytes() -> float | None:
-    """Return the process' largest memory; None if the system does not report it."""
-    # Linux' getrusage starts with the memory of the parent process; VmHWM is of this program alone
+    """Return the peak memory of this process; None if the system does not report it."""
+    # Linux's getrusage starts from the memory of the parent process; VmHWM is that of this program alone
     with suppress(OSError, IndexError, ValueError):
         lines = [line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM:" in line]
         return 1.024e-3 * int(lines[0])

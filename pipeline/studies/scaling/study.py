@@ -1,10 +1,10 @@
 """How the cost of a step grows with the mesh, method by method, beside the machine's bandwidth and other programs.
 
 bench.json has a row for each point: case, method, cells, tets, nodes, dt [s], ms (median of a step), ns_per_tet,
-iterations (Newton's, or frozen passes), solves and linear_iterations of a step, setup_s, loading_s (of kernels, once a
-process; null: in setup_s), peak_MB (of a process of its own, before any rival ran in it), linear_solver, bytes (least
-traffic of a step), bound_ms (those over the measured bandwidth), baseline_ms (of the rival that took turns with this
-method; null: none), error. Rows of other programs have version, ours_ms and differs, and no work counts.
+iterations (Newton's, or frozen passes), solves and linear_iterations of a step, setup_s, loading_s (of kernels, once
+per process; null: in setup_s), peak_MB (of a process of its own, before any rival ran in it), linear_solver, bytes
+(least traffic of a step), bound_ms (those over the measured bandwidth), baseline_ms (of the rival that took turns with
+this method; null: none), error. Rows of other programs have version, ours_ms and differs, and no work counts.
 """
 
 import json
@@ -111,7 +111,7 @@ def _list_points(
 
 
 def _choose_variant(case: Case) -> str:
-    """Return the variant with the fewest keys of its own: it must not undo what is set for a point."""
+    """Return the variant with the fewest keys of its own: it must not undo the settings of a point."""
     return min(case.variant_names, key=lambda name: len(case.variant(name).own_keys))
 
 
@@ -127,7 +127,7 @@ def _measure_row(point: dict[str, Any], bandwidth: float) -> CostRow:
 
 
 def _measure_bandwidth() -> float:
-    """Return the rate at which one thread copies [GB/s], read and written: the best of some copies."""
+    """Return the rate at which one thread copies [GB/s], reads and writes together: the best of some copies."""
     source = np.ones(_COPIED_FLOATS)
     target = np.empty_like(source)
     times = []

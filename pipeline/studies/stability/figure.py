@@ -1,4 +1,4 @@
-"""The picture of a stability study: a panel for each slice, methods by values, in color the outcome, the worst J."""
+"""The picture of a stability study: a panel for each slice, methods by values, colored by outcome, with the worst J."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -40,7 +40,7 @@ def write_stability_figure(study: Stability, path: Path) -> None:
 
 
 def _draw_slice(axes: "Axes", study: Stability, name: str, *, labels: bool) -> None:
-    """Draw one slice; the number in a field is the volume ratio farthest from 1."""
+    """Draw one slice; the number in a square is the volume ratio farthest from 1."""
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
     outcomes, values = study.list_outcomes(name), study.values[name]

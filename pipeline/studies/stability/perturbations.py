@@ -7,7 +7,7 @@ from pipeline.errors import MeshError
 from pipeline.mesh.simplex import Mesh, signed_volumes
 
 _MOST_APEXES = 8  # enough for every kind of place, and few enough to leave the rest of the body as it was
-_FLAT = -1e-9  # of a cell's volume: rounding of a neighbor that ends as flat as the chosen cell
+_FLAT = -1e-9  # of a cell's volume: allows for rounding in a neighbor that ends as flat as the chosen cell
 
 
 def scramble_nodes(mesh: Mesh, free: Ints, reach: float, *, seed: int) -> Floats:
@@ -19,10 +19,10 @@ def scramble_nodes(mesh: Mesh, free: Ints, reach: float, *, seed: int) -> Floats
 
 
 def move_apexes(mesh: Mesh, free: Ints, part: float, *, seed: int) -> Floats:
-    """Return the points (n, d) with some free nodes moved by a part of the way to the center of a cell's base.
+    """Return the points (n, d) with some free nodes moved part of the way to the center of a cell's base.
 
-    At part = 1 - h the cell's height is h of its height before, and no other cell is flatter; beyond 1 the cell is
-    inverted. At most eight random nodes are moved, no two in one cell. Raises MeshError if no node can be.
+    At part = 1 - h the cell's height is h times its former height, and no other cell is flatter; beyond 1 the cell is
+    inverted. At most eight random nodes are moved, no two in one cell. Raises MeshError if no node can be moved.
     """
     x, generator = mesh.points.copy(), np.random.default_rng(seed)
     taken: set[int] = set()
@@ -52,7 +52,7 @@ def _list_cells_of_nodes(mesh: Mesh) -> list[Ints]:
 
 
 def _find_base_center(mesh: Mesh, node: int, star: Ints) -> Floats | None:
-    """Return the center of a base opposite to the node at which no cell of its star is inverted; None if none is."""
+    """Return the center of a base opposite the node, to which it can move without inverting a cell; None if none is."""
     cells = mesh.cells[star]
     for cell in cells:
         target = mesh.points[cell[cell != node]].mean(axis=0)

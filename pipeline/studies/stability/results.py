@@ -28,7 +28,7 @@ _NUMBERS: Mapping[str, tuple[str, str]] = {
 
 @dataclass(frozen=True)
 class Stability:
-    """The trials of a study by slice, number of the value, and method; and the files written."""
+    """The trials of a study by slice, index of the value, and method; and the files written."""
 
     name: str
     values: Mapping[str, tuple[float, ...]]

@@ -1,4 +1,4 @@
-"""What breaks at the extremes: every method at every value of every slice, as a dataset, a picture and a few lines."""
+"""Methods at their extremes: every method at every value of every slice, as a dataset, a picture and a few lines."""
 
 import json
 import os
@@ -34,8 +34,8 @@ def study_stability(
     """Return the outcome of every method at every extreme of a case, after writing it into folder/<case>.
 
     `slices` are names of SLICES, all by default; explicit runs take five times the steps. Files: stability.nc,
-    stability.png, summary.json, points/. Of the case, the mesh, material, supports, loads and start matter, but not the
-    law, the stepper and the variants. Raises CaseError if a slice is unknown or the case cannot be built.
+    stability.png, summary.json, points/. The mesh, material, supports, loads and start of the case matter, but not its
+    law, stepper and variants. Raises CaseError if a slice is unknown or the case cannot be built.
     """
     unknown = [name for name in slices if name not in SLICES]
     if unknown:
@@ -44,7 +44,7 @@ def study_stability(
         raise CaseError(f"steps: {steps} is not 1 or more")
     if not 0 < tolerance < 1:
         raise CaseError(f"tolerance: {tolerance:g} is not between 0 and 1")
-    build(case.variant(case.variant_names[0]))  # so that a case that cannot be built is one error, not one a point
+    build(case.variant(case.variant_names[0]))  # so that a case that cannot be built is one error, not one per point
     scene = ExtremeScene.from_mesh(case, build_mesh(case))
     chosen = {name: SLICES[name].list_values(scene) for name in SLICES if name in slices or not slices}
     points = {
@@ -63,7 +63,7 @@ def study_stability(
 
 
 def add_outcome(result: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a result of the sweep with an outcome: an error that the trial did not expect is an unexpected one."""
+    """Return a result of the sweep with an outcome: an error that the trial did not handle is unexpected."""
     return result if "outcome" in result else {**NO_RUN, "outcome": UNEXPECTED, "message": result["error"]}
 
 

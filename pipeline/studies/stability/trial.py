@@ -63,7 +63,7 @@ class Course:
 def run_trial(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the outcome of a method at an extreme and the numbers behind it, all of them finite.
 
-    outcome             one of OUTCOMES but the last, which only the sweep can find; an error has its message
+    outcome             one of OUTCOMES except the last, which only the sweep can find; an error has its message
     worst_volume_ratio  the J farthest from 1 after any step
     energy_growth       the largest kinetic + elastic energy over that supplied by start, loads and supports
     volume_error        the largest |J - J_reference|
@@ -108,7 +108,7 @@ def _build_trial(settings: Mapping[str, Any], method: Mapping[str, Any]) -> Prob
     disturbance, seed = settings["disturbance"], settings["seed"]
     mesh = None
     if settings["limit_share"] is not None or "sliver" in disturbance:
-        # a stepper for which no step is too long
+        # built with a stepper for which no step is too long
         plain = build(_make_case(settings, changes | {"method.stepper": "backward_euler", "method.law": "linear"}))
         if "sliver" in disturbance:
             rest, free = plain.body.mesh, plain.body.free
@@ -165,7 +165,7 @@ def _run_reference(text: str) -> Course:
 
 
 def _compare_with_reference(course: Course, settings: Mapping[str, Any]) -> dict[str, float]:
-    """Return the errors against the converged run of the same steps; {} if that failed before the end of this one."""
+    """Return the errors against the converged run of the same steps; {} if that failed earlier than this one."""
     stepper = {key: settings["method"][key] for key in ("stepper", "mass") if key in settings["method"]}
     reference = _run_reference(json.dumps({**settings, "method": stepper}, sort_keys=True))
     if len(reference.x) < len(course.x):
@@ -180,7 +180,7 @@ def _compare_with_reference(course: Course, settings: Mapping[str, Any]) -> dict
 
 
 def _compare_with_rest(course: Course) -> dict[str, float]:
-    """Return the errors of the run's end against the rest shape; of a free body those of the volumes alone."""
+    """Return the errors of the run's end against the rest shape; for a free body, those of the volumes only."""
     if not course.x:
         return {"volume_error": 0.0, "node_distance": 0.0}
     distance = np.linalg.norm(course.x[-1] - course.mesh.points, axis=1).max() if course.is_held else 0.0

@@ -19,7 +19,7 @@ from pipeline.studies.thesis.published import CORRECTIONS, Correction
 
 Numbers = Mapping[str, float]
 STEPS = 100
-_ZERO = 1e-10  # of the largest singular value: far above rounding, far below the next one (1e-2)
+_ZERO = 1e-10  # of the largest singular value: far above rounding, far below the next value (1e-2)
 
 
 @dataclass(frozen=True, eq=False)

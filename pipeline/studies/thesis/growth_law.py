@@ -4,7 +4,7 @@ the rotation used and the one reached: F = R (I + W), det F = 1 + |axial W|^2 = 
     linear      used I         J against the angle of the polar rotation
     one solve   used R(x_n)    J against the angle between the polar rotations before and after the step
 
-A homogeneous rotation obeys it exactly. In a scene strain is added, so the median and the band of J / sec^2 are
+A homogeneous rotation obeys it exactly. In a scene, strain adds to it, so the median and the band of J / sec^2 are
 reported.
 """
 

@@ -29,7 +29,7 @@ class RunOutcome:
     largest_volume: float
     its_rest_volume: float
     largest_rest_volume: float
-    kinetic_left: float  # kinetic energy at the end over its largest
+    kinetic_left: float  # kinetic energy at the end over its maximum
     seconds_per_step: float
     message: str = ""
 
@@ -59,7 +59,7 @@ def read_scene(case: Case, result: CaseResult) -> ThesisScene:
 
 
 def _find_factor(case: Case) -> tuple[float, str]:
-    """Return the factor on a case's initial velocity or body force, and the name of that; 1 if there is none."""
+    """Return the factor on a case's initial velocity or body force, and its name; 1 if there is none."""
     if case.initial.factor != 1:
         return case.initial.factor, "initial velocity"
     force = case.loads.body_force

@@ -72,7 +72,7 @@ class Correction:
     holds: str = ""
 
 
-# a scene without a fitted factor has the name of the calibrated one and this ending
+# a scene without a fitted factor is named like the calibrated one, with this ending
 AS_PRINTED = "_as_printed"
 SCENES = ("bar_small", "bar", "mushroom", "armadillo")
 PLANAR_SCENE = "beam2d"

@@ -37,7 +37,7 @@ from pipeline.studies.thesis.verdicts import (
 from pipeline.system.version import VERSION
 from pipeline.views.html.blocks import Block, Heading, Paragraph, Picture, TableBlock
 
-LINEAR_ABOVE, STEP_ABOVE = 10.0, 10.0  # degrees: below, strain outweighs the growth by rotation
+LINEAR_ABOVE, STEP_ABOVE = 10.0, 10.0  # degrees: below these, strain outweighs the growth by rotation
 
 
 @dataclass(frozen=True)

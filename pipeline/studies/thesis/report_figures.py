@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _PANEL = (400, 330)
 _CAPTION_HEIGHT = 32
-_STEEPEST = np.radians(85)  # beyond, sec^2 leaves the picture
+_STEEPEST = np.radians(85)  # beyond this, sec^2 leaves the picture
 
 
 def write_states_figure(series: Mapping[str, Series], states: Mapping[str, Sequence[int]], path: Path) -> None:
@@ -60,7 +60,7 @@ def write_states_figure(series: Mapping[str, Series], states: Mapping[str, Seque
 
 
 def _choose_grid(count: int) -> tuple[int, int]:
-    """Return columns and rows for some pictures: four in one row at most, three in each of several."""
+    """Return columns and rows for some pictures: at most four in a single row, three in each of several."""
     columns = count if count <= 4 else 3
     return columns, -(-count // columns)
 

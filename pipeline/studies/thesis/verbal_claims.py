@@ -24,12 +24,12 @@ from pipeline.studies.thesis.verdicts import NOT_REPRODUCED, OTHER_HARDWARE, REP
 Scenes = Mapping[str, ThesisScene]
 ClaimResult = tuple[str, str]  # the result in words, and the verdict
 
-SIMILAR = 0.10  # “very similar”: growths that differ by less than this part of the larger
-INFINITESIMAL = 0.01  # “infinitesimal”: growth below this part of the linear one
-SMALL = 0.10  # “small”: growth below this part of the linear one
+SIMILAR = 0.10  # “very similar”: growths that differ by less than this fraction of the larger
+INFINITESIMAL = 0.01  # “infinitesimal”: growth below this fraction of the linear one
+SMALL = 0.10  # “small”: growth below this fraction of the linear one
 FIRST = 10  # “the first iterations” of 100
 ROUNDING = 1e-6  # “stable”: growth of the energy of a spin, which the linear law conserves exactly
-STOPPED = 0.01  # “stops”: kinetic energy below this part of its largest
+STOPPED = 0.01  # “stops”: kinetic energy below this fraction of its maximum
 FREE_END = 1.5  # “at the free end”: y of the last layer of cells [m]
 
 
@@ -106,7 +106,7 @@ def judge_first_iterations(scenes: Scenes) -> ClaimResult:
 
 
 def judge_stop(scenes: Scenes) -> ClaimResult:
-    """Return whether the bar's kinetic energy falls below 1 % of its largest within the run."""
+    """Return whether the bar's kinetic energy falls below 1 % of its maximum within the run."""
     text, verdict = _compare_pairs(
         scenes, (("bar_small", "linear"),), lambda a: a.kinetic_left < STOPPED,
         lambda a: f"{a.kinetic_left:.1e} of the kinetic energy is left", "it still moves",

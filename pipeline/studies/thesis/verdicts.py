@@ -1,4 +1,4 @@
-"""A published value against ours: reproduced, reproduced with a factor, or not and why not."""
+"""A published value against ours: reproduced, reproduced with a factor, or not reproduced, and why."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from pipeline.studies.thesis.our_runs import RunOutcome, ThesisScene
 from pipeline.studies.thesis.published import AS_PRINTED, COUNTED, PublishedNumber
 
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
-OTHER_HARDWARE = "other hardware"  # a result that depends on the speed of the machine: neither of the two
+OTHER_HARDWARE = "other hardware"  # depends on the speed of the machine, so neither reproduced nor not
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Finding:
 
 
 def judge(number: PublishedNumber, as_printed: float | None, calibrated: float | None, factor: float) -> str:
-    """Return the verdict with the remark; as printed counts first, and a number not reproduced has its deviations."""
+    """Return the verdict with the remark; as printed comes first, and a number not reproduced has its deviations."""
     remark = f" ({number.remark})" if number.remark else ""
     if as_printed is not None and abs(as_printed - number.value) <= number.tolerance:
         return f"{REPRODUCED}{remark}"

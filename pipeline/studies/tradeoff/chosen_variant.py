@@ -18,7 +18,7 @@ _BLOCK = re.compile(rf"\n*^{re.escape(_MARK)}.*?(?=\n\n|\Z)", re.MULTILINE | re.
 
 
 def write_chosen_variant(plan: Plan, setting: Setting, why: str) -> None:
-    """Append the setting to the case's file as [variants.adequate], in place of an earlier choice; all else is kept.
+    """Append the setting to the case's file as [variants.adequate], in place of an earlier choice; the rest is kept.
 
     The frames are those of the case if dt divides their interval. Raises CaseError if the file has another variant of
     this name or an inline table of variants, OutputError if it cannot be written.
@@ -30,7 +30,7 @@ def write_chosen_variant(plan: Plan, setting: Setting, why: str) -> None:
         raise CaseError(f"{path}: variants.{NAME}: exists already; rename it or remove it")
     keys = [f'"{key}" = {_format_inline(value)}' for key, value in _make_overrides(plan, setting).items()]
     lines = [_MARK, f"# {why}", f"[variants.{NAME}]", *keys]
-    if not variants:  # the one variant of a case without variants
+    if not variants:  # the only variant of a case without variants
         lines[2:2] = ["[variants.default]"]
     with replace_file(path) as hidden:
         hidden.write_text("\n".join([text, "", *lines, ""]), encoding="utf-8")

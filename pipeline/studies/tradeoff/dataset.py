@@ -1,4 +1,4 @@
-"""tradeoff.nc: every cost and deviation of a study, a dimension for each knob, NaN for settings that were not run."""
+"""tradeoff.nc: every cost and deviation of a study, with a dimension for each knob, NaN for settings not run."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any

@@ -1,8 +1,8 @@
-r"""Differences of two motions: nodes, volumes, energy, and the first mode.
+r"""Differences between two motions: nodes, volumes, energy, and the first mode.
 
 With the first mode phi (M-normalized, omega) of the body at rest,  q = phi . M u,  z = q + i dq/dt / omega:
-its amplitude is |z|, its phase arg z. In large rotations that is no mode, but still the same projection of both
-motions.
+its amplitude is |z|, its phase arg z. In large rotations phi is no longer a mode, but both motions are still projected
+alike.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ MEASURES = {
 DISTANCES = ("worst_distance", "rms_distance")
 # an error of a volume ratio counts half: model = "auto" promises to keep it below twice the tolerance
 VOLUME_SHARE = 0.5
-_MOVING = 0.1  # of the largest amplitude: below, a phase means little
+_MOVING = 0.1  # of the largest amplitude: below this, a phase means little
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def find_first_mode(body: Body) -> FirstMode | None:
 
 
 def measure_distances(motion: RecordedMotion, reference: RecordedMotion, nodes: Ints | None = None) -> dict[str, float]:
-    """Return the worst and RMS distance over the body's size; `nodes` are numbers of the motion's in a finer mesh."""
+    """Return the worst and RMS distance over the body's size; `nodes` are the motion's nodes in a finer mesh."""
     other = reference.u if nodes is None else reference.u[:, nodes]
     distance = np.linalg.norm(motion.u - other, axis=-1) / motion.mesh.size
     return {"worst_distance": float(distance.max()), "rms_distance": float(np.sqrt(np.mean(distance**2)))}

@@ -1,8 +1,11 @@
-r"""The steps a period of the first mode that a stepper needs for an amplitude and phase to a tolerance.
+r"""The steps per period that a stepper needs to keep the first mode's amplitude and phase to a tolerance.
 
-The body is linear, without loads, displaced along its first mode and released. After one period the mode is back:
+The body is linear, without loads, displaced along its first mode and released. After one period the mode is back at its
+start:
+
     z = q + i dq/dt / omega,    error = |z(T) - z(0)| / |z(0)|,    T = 2 pi / omega
-The error falls as a power of the steps a period, so a few runs find the count.
+
+The error falls as a power of the steps per period, so a few runs find the count.
 """
 
 from collections.abc import Mapping
@@ -26,7 +29,7 @@ _RUNS = 12  # extrapolation by the order, then bisection, need fewer unless erro
 
 
 def find_steps_per_period(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fewest steps a period for the tolerance, found by runs, their error, and omega [rad/s].
+    """Return the fewest steps per period for the tolerance, found by trial runs, their error, and omega [rad/s].
 
     Settings are those of `motion.make_task_settings` and `tolerance`. Raises SolveError if the body has no elastic mode
     or the tolerance is not reached.
@@ -48,9 +51,8 @@ def find_steps_per_period(settings: Mapping[str, Any]) -> dict[str, Any]:
         best = min(reached, default=_MOST)
         if best - missed <= max(1, best // 100):  # to 1 %
             return {"steps": best, "error": reached[best], "omega": omega}
-        guess = ceil(
-            count * (error / tolerance) ** (1 / STEPPERS[stepper].order) * 1.001
-        )  # rounding of the power must not miss the tolerance
+        # 1.001: rounding of the power must not miss the tolerance
+        guess = ceil(count * (error / tolerance) ** (1 / STEPPERS[stepper].order) * 1.001)
         count = guess if missed < guess < best else (missed + best + 1) // 2
     raise SolveError(f"the first mode is not followed to {tolerance:g} by {missed} steps of {stepper} a period")
 

@@ -23,9 +23,9 @@ from pipeline.run.frame_iterator import frames
 
 COUNTS = ("steps", "solves", "iterations", "factorizations", "rotations")
 _ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")
-_LEAST_SECONDS, _MOST_SECONDS = 0.5, 5.0  # of all repeats: below they are repeated more often, above no more
+_LEAST_SECONDS, _MOST_SECONDS = 0.5, 5.0  # of all repeats: below the first there are more, above the second no more
 _MOST_RUNS, _PAIRS = 15, 9  # repeats at most, and pairs of a race
-_MOST_SIZES = 1e3  # a body that moves by so many times its size has no meaningful error
+_MOST_SIZES = 1e3  # a body that moves this many times its size has no meaningful error
 
 
 def make_task_settings(case: Case, repeats: int) -> dict[str, Any]:
@@ -46,8 +46,8 @@ def _hash_file(case: Case, path: Path) -> str:
 def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return displacement and velocity at every frame (packed), energies, work counts and solver seconds.
 
-    The run is repeated as often as the settings say, more often if short and less if long; seconds are the median.
-    Raises SolveError if a step fails or the body leaves the scene.
+    The run is repeated as often as the settings say, but more often if short and less often if long; seconds are the
+    median. Raises SolveError if a step fails or the body moves absurdly far.
     """
     problem = build_problem(settings, "case")
     problem.prepare().step(problem.start)  # loads the kernels now, not in the first timed step
@@ -80,7 +80,7 @@ def run_motion(settings: Mapping[str, Any]) -> dict[str, Any]:
 def run_race(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the ratio of solver seconds of "case" over those of "rival", run in turn: the median of the pairs.
 
-    Other work on the machine slows both, so that the ratio is more accurate than either time.
+    Other work on the machine slows both, so the ratio is more accurate than either time.
     """
     problems = [build_problem(settings, key) for key in ("case", "rival")]
     for problem in problems:
@@ -113,13 +113,13 @@ def pack_array(values: Floats) -> str:
 
 
 def unpack_array(text: str, shape: tuple[int, ...]) -> Floats:
-    """Return the array of a text."""
+    """Return the array packed in a text."""
     return np.frombuffer(base64.b64decode(text), dtype="<f4").astype(np.float64).reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedMotion:
-    """Displacements and velocities (t, n, d) of a mesh, its total energy (t,) [J], and that without the loads'."""
+    """Displacements and velocities (t, n, d) of a mesh, its total energy (t,) [J], and that without the loads' part."""
 
     mesh: Mesh
     u: Floats

@@ -41,8 +41,8 @@ QUICK_FACTORS = (1.0, 0.5, 0.25)
 # parts of the smallest step: the reference stepper alone takes these too, and half the last is the reference's
 SMALLER = (0.5, 0.25)
 REFERENCE_PART = 0.125
-_FINE_STEPS = 3  # of the plan's, from the case's own down: finer meshes cost eight times as much or more
-_MOST_FRAMES = 50  # compared of a run; more cost memory and change errors little
+_FINE_STEPS = 3  # number of the plan's, from the case's own down: finer meshes cost eight times as much or more
+_MOST_FRAMES = 50  # compared per run; more would cost memory and hardly change the errors
 _BELOW_LIMIT = 0.9  # of the limit at rest, which falls as the body deforms
 
 
@@ -132,10 +132,10 @@ def make_plan(
 
     Raises CaseError if steps or refinements do not fit the case.
     """
-    build(case.model_copy(update={"variants": {}}).variant(ONLY_VARIANT))  # its errors are raised now
+    build(case.model_copy(update={"variants": {}}).variant(ONLY_VARIANT))  # raises its errors now
     explicit = find_traits(case.method).is_explicit
     schedule = case.schedule
-    # an explicit case's own step is too short for implicit ones; the interval of its frames fits
+    # an explicit case's own step is too short for implicit steppers; the interval of its frames fits
     dt = schedule.dt * (schedule.steps_per_frame if explicit else 1)
     ladder = _choose_steps(case, dts, [dt * f for f in (QUICK_FACTORS if quick else DT_FACTORS)])
     own = schedule.steps_per_frame * schedule.frames
@@ -255,7 +255,7 @@ def make_mesh_keys(plan: Plan, setting: Setting) -> dict[str, Any]:
 
 
 def find_coarse_nodes(cells: Sequence[int], factor: int) -> Ints:
-    """Return the number of every node of a grid of cells in the grid refined by a whole factor (n,)."""
+    """Return the number of every node of a grid of cells in the grid refined by an integer factor (n,)."""
     coarse = np.stack(np.meshgrid(*[np.arange(c + 1) for c in cells], indexing="ij"), axis=-1)
     counts = tuple(factor * c + 1 for c in cells)
     numbers = np.ravel_multi_index(tuple(np.moveaxis(factor * coarse, -1, 0)), counts)

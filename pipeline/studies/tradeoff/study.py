@@ -1,4 +1,4 @@
-"""Which setting is accurate enough for a scene: work against precision, measured, answered in one sentence."""
+"""The setting that is accurate enough for a scene: measured work against precision, and the answer in one sentence."""
 
 import json
 import os

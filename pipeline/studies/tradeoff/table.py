@@ -1,4 +1,4 @@
-"""A trade-off study as rows, a row for each setting: its cost and its distance from each reference.
+"""A trade-off study as rows, one for each setting: its cost and its distance from each reference.
 
 model    from the converged solution with the same stepper, dt, mesh and mass: the error of law and iterations
 motion   from the converged solution of a small step on the same mesh: that, and the error of stepper, dt and mass
@@ -46,7 +46,7 @@ COSTS = {
     "real_time_factor": ("1", "simulated seconds a solver second"),
     **{_name_count(name): ("1", f"{name} of the run") for name in COUNTS},
 }
-_LEAST_ORDER = 0.5  # below, halving the step says nothing about the error
+_LEAST_ORDER = 0.5  # below this, halving the step says nothing about the error
 
 
 @dataclass(frozen=True)
@@ -106,9 +106,8 @@ class ErrorTable:
             order = float(np.log2(combine_error(measure_deviation(last, before, None)) / halved))
         formal = float(STEPPERS[REFERENCE_STEPPER].order)
         observed = float(np.clip(formal if order is None else order, _LEAST_ORDER, formal))
-        return ReferenceErrors(
-            halved / (2**observed - 1), order, self._estimate_mesh_error()
-        )  # the rest of a geometric series
+        # the sum of the remaining changes, a geometric series
+        return ReferenceErrors(halved / (2**observed - 1), order, self._estimate_mesh_error())
 
     def find_mesh_error(self, refinement: int) -> float:
         """Return the distance of the reference on a mesh from that on the finest; NaN if there is only one mesh."""

@@ -11,7 +11,7 @@ from pipeline.studies.tradeoff.settings import AUTO, Setting
 from pipeline.studies.tradeoff.table import ErrorTable, SettingRow
 
 AUTO_BAR = 1.3  # seconds of auto over the cheapest fixed setting of the same tolerance
-MODE_BAR = 10.0  # times fewer steps of the most accurate stepper
+MODE_BAR = 10.0  # by this factor the most accurate stepper needs fewer steps
 _TIED = 1.1  # seconds within this ratio are equal: timing cannot separate them
 
 
@@ -19,9 +19,9 @@ _TIED = 1.1  # seconds within this ratio are equal: timing cannot separate them
 class AutoVerdict:
     """model = "auto" beside the cheapest fixed setting of the same stepper, dt and mesh that meets the same tolerance.
 
-    `volume` is the worst |J - J_ref| of auto against the converged solution, to be within twice the tolerance. That
-    of the rival is within the tolerance, or auto's if auto exceeds it.
-    `iterations` count linear solves, which do not depend on the machine; `ratio` is that of the seconds.
+    `volume` is the worst |J - J_ref| of auto against the converged solution, to be within twice the tolerance. The
+    rival's is within the tolerance, or within auto's if auto exceeds that. `iterations` count linear solves, which do
+    not depend on the machine; `ratio` is that of the seconds.
     """
 
     setting: Setting
@@ -61,7 +61,7 @@ def find_front(rows: Iterable[SettingRow], reference: str = "motion") -> list[Se
 
 
 def find_cheapest(rows: Iterable[SettingRow], tolerance: float, reference: str = "motion") -> SettingRow | None:
-    """Return the row of least solver seconds whose error is within the tolerance; None if there is none.
+    """Return the row with the least solver seconds whose error is within the tolerance; None if there is none.
 
     Among those within a tenth of that cost it is the most accurate; Gram-Schmidt, which depends on the axes and has no
     potential, comes last.
@@ -90,7 +90,7 @@ def split_error(table: ErrorTable, row: SettingRow) -> ErrorParts:
 
 
 def judge_auto(table: ErrorTable) -> list[AutoVerdict]:
-    """Return auto beside fixed settings for every mesh, implicit stepper and dt that it was run with."""
+    """Return auto compared with fixed settings for every mesh, implicit stepper and dt that it was run with."""
     limit = table.plan.tolerance / VOLUME_SHARE
     verdicts = []
     for row in table.rows:
