@@ -25,7 +25,7 @@ class Study(NamedTuple):
 
 
 class _StudyParser(argparse.ArgumentParser):
-    """Adds the options of a study only if it is named: its defaults and choices are in modules slow to import."""
+    """Adds a study's options only if it is named: their defaults and choices are in modules that are slow to import."""
 
     study: Study | None = None
 

@@ -17,13 +17,13 @@ def say(line: str) -> None:
 
 
 def show_notes(notes: Iterable[str]) -> None:
-    """Print notes on standard error, a line each."""
+    """Print notes on standard error, one per line."""
     for note in notes:
         say(f"note: {note}")
 
 
 class Bars:
-    """Progress bars: one per variant with steps per second and the worst volume ratio, and one for the movie."""
+    """Progress bars: one per variant, with steps per second and the worst volume ratio, and one for the movie."""
 
     def __init__(self, display: Any) -> None:
         self._display = display
@@ -47,14 +47,14 @@ class Bars:
         self._show("movie", done, total, "")
 
     def show_reading(self, name: str, done: int, total: int) -> None:
-        """Show a frame of a series that is read."""
+        """Show that a frame of a series was read, or a point of a study done."""
         self._show(name, done, total, "")
 
     def _show(self, name: str, done: int, total: int, text: str) -> None:
         if self._display is None:
             return
         if name not in self._tasks:
-            self._display.start()  # only now, so that an error before it is one line
+            self._display.start()  # only now, so that an earlier error is a single line
             self._tasks[name] = self._display.add_task(name, total=total, text=text)
         self._display.update(self._tasks[name], completed=done, total=total, text=text)
 
