@@ -1,4 +1,4 @@
-"""The antialiased pictures a second of a movie of two bodies, including the encoding.
+"""The antialiased pictures per second of a movie of two bodies, encoding included.
 
     python benchmarks/movies.py 2x8x2 [--frames 100] [--repeats 3]
 
@@ -41,7 +41,7 @@ def main() -> None:
 
 
 def _measure_rates(folders: list[Path], movie: Path) -> tuple[float, float]:
-    """Return the pictures a second, from the first one on and from the start of reading."""
+    """Return the pictures per second, from the first one on and from the start of reading."""
     began, picture_times = time.perf_counter(), list[float]()
     series = [read_series(folder) for folder in folders]
     span = float(series[0].times[-1] - series[0].times[0])

@@ -1,6 +1,6 @@
-"""The costs of other programs on the same mesh, of those that are installed.
+"""The costs of other programs on the same mesh, if they are installed.
 
-A peer is never needed: without it there is no row. Each row has the ms and ns_per_tet of the peer, `ours_ms` of our
+No peer is required: without it there is no row. Each row has the ms and ns_per_tet of the peer, `ours_ms` of our
 nearest counterpart, measured in the same process on the same mesh, and `differs`: the differences between the two.
 """
 
@@ -19,8 +19,8 @@ from pipeline.studies.scaling.rival import Rival
 from pipeline.studies.scaling.step_cost import build_point, measure_median_ms, read_peak_megabytes
 
 INSTALL = "pip install 'corotational-pipeline[bench]', in an environment of its own"
-_WARM_STEPS = 5  # so that the cells have turned when ours is timed
-# MuJoCo warns if a step needs more iterations than this; one of 0.07 s may exceed the default of 100
+_WARM_STEPS = 5  # so that the cells have turned before ours is timed
+# MuJoCo warns if a step needs more iterations than this; a step of 0.07 s may exceed the default of 100
 _MUJOCO_ITERATIONS = 1000
 
 
@@ -68,7 +68,7 @@ def _measure_mujoco(problem: Problem) -> PeerCosts:
         began = time.perf_counter()
         model, data = make_flex(problem)
         setup = time.perf_counter() - began
-        warnings.clear()  # it misses passive forces, although the flex has the elasticity given
+        warnings.clear()  # it reports missing passive forces, although elasticity is set
         ms = measure_median_ms(lambda: mujoco.mj_step(model, data))
     if warnings:
         raise SolveError(f"MuJoCo warned {len(warnings)} times, first: {' '.join(warnings[0].split())}")

@@ -1,4 +1,4 @@
-"""One corotational solve a step in plain scipy, honestly written, without this project's kernels and solvers.
+"""One corotational solve per step in plain scipy, fairly written, without this project's kernels and solvers.
 
 Batched SVD rotations, element matrices by einsum-free products, bincount assembly into CSR, SuperLU or Jacobi-CG.
 """
@@ -16,12 +16,12 @@ from pipeline.fem.element import deformation_gradient, nodal_forces, stiffness_b
 from pipeline.fem.rotation import polar_by_svd
 from pipeline.problem.problem import Problem
 
-_MOST_CELLS_SUPERLU = 50_000  # above, a factorization in every step takes minutes
+_MOST_CELLS_SUPERLU = 50_000  # above this, a factorization in every step takes minutes
 _MOST_ITERATIONS = 5000  # of Jacobi-CG; block Jacobi took 1700 on a million cells
 
 
 class PlainStep:
-    """Backward Euler with one solve a step, on a body that is not compiled: (x, v) -> (x, v)."""
+    """Backward Euler with one solve per step and no compiled kernels: (x, v) -> (x, v)."""
 
     def __init__(self, body: Body, dt: float, solver: str, rtol: float = 1e-6) -> None:
         self.body, self.dt, self.solver, self.rtol = body, dt, solver, rtol

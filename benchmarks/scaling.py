@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def measure(options: argparse.Namespace) -> Scaling:
-    """Return the study that the options ask for; raises CaseError if a program named is not installed."""
+    """Return the study that the options ask for; raises CaseError if a named program is not installed."""
     names = options.names or [*METHODS, *list_installed()]
     if missing := [name for name in names if name in PEERS and name not in list_installed()]:
         raise CaseError(f"--method {missing[0]}: is not installed: {INSTALL}")

@@ -1,4 +1,4 @@
-"""The cost of the same questions about the same series in this package and in ogstools' MeshSeries.
+"""The cost of the same questions about the same series in this package and in MeshSeries of ogstools.
 
     python benchmarks/series.py SERIES.pvd --theirs VENV/bin/python [--repeats 5]
 
@@ -21,7 +21,7 @@ from statistics import median
 from typing import Any
 
 POINTS = 100  # to probe
-RESAMPLED = 500  # times between frames
+RESAMPLED = 500  # times, between those of the frames
 CELLS = 40  # to extract
 
 

@@ -1,11 +1,11 @@
-"""The time of solving, writing and both together for each frame, and the overlap of the two.
+"""The time per frame of solving, of writing and of both together, and the overlap of the two.
 
     python benchmarks/writing.py 8x26x8 [--frames 300] [--repeats 5] [--format vtu] [--precision float64]
 
-The thesis' bar of so many boxes, six tetrahedra each, one solve a step and one step a frame (dt .07 s, polar rotation).
-"Solving alone" discards the frames; "writing alone" has them all in memory. Wall time, milliseconds a frame, the median
-of the repeats, which take turns; the writer process is started before. Nothing else should run. "Unrelated" solves in
-one process and writes frames from memory in another: no overlap can be better.
+The thesis' bar, cut into that many boxes, six tetrahedra each, one solve per step and one step per frame (dt .07 s,
+polar rotation). "Solving alone" discards the frames; "writing alone" has them all in memory. Wall time, milliseconds a
+frame, the median of the repeats, which take turns; the writer process is started beforehand. Nothing else should run.
+"Unrelated" solves in one process and writes frames from memory in another: no overlap can be better.
 """
 
 import argparse
@@ -57,7 +57,7 @@ def main() -> None:
         return time.perf_counter() - began
 
     def time_unrelated() -> float:
-        """Both at once, in two processes without a connection: the best that the machine allows."""
+        """Run both at once, in two unconnected processes: the best that the machine allows."""
         source = frames(problem)
         next(source)
         began = time.perf_counter()
@@ -79,7 +79,7 @@ def main() -> None:
             "beside each other": lambda: time_frames(writer.start_recording(make_sinks())),
             "unrelated, at once": time_unrelated,
         }
-        time_frames(writer.start_recording(make_sinks()), recorded[:10])  # the writer has started
+        time_frames(writer.start_recording(make_sinks()), recorded[:10])  # the writer has started by then
         rows = [{name: way() for name, way in ways.items()} for _ in range(options.repeats)]
     times = {name: 1e3 * median(row[name] for row in rows) / options.frames for name in ways}
     print(f"{len(problem.body.mesh.cells)} tetrahedra, {options.frames} frames, ms a frame")

@@ -20,7 +20,7 @@ from tools.meshing.smoothing import list_surface_faces
 
 SHAPES = {"mushroom": make_mushroom, "armadillo": make_armadillo}
 MESHES = Path(__file__).resolve().parents[2] / "cases" / "meshes"
-_FLATTENED = 5e-3  # of the sliver's height before
+_FLATTENED = 5e-3  # of the sliver's former height
 
 
 def make_mesh(shape: Shape) -> Mesh:
@@ -37,7 +37,7 @@ def make_mesh(shape: Shape) -> Mesh:
 def add_sliver(mesh: Mesh) -> Mesh:
     """Return the mesh with one interior node moved almost into the opposite face of one of its cells.
 
-    Of all such moves it is the one after which the worst of the other cells is best.
+    The move is the one that leaves the worst of the other cells best.
     """
     interior = np.setdiff1d(np.arange(len(mesh.points)), list_surface_faces(mesh.cells))
     best: tuple[float, Floats] | None = None
@@ -56,7 +56,7 @@ def add_sliver(mesh: Mesh) -> Mesh:
 
 
 def _flatten_cell(mesh: Mesh, node: int, cell: Ints) -> Floats:
-    """Return the points with a node at a small part of its height over the opposite face of a cell."""
+    """Return the points with a node at a small fraction of its height over the opposite face of a cell."""
     a, b, c = (mesh.points[other] for other in cell if other != node)
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal)

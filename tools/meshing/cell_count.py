@@ -6,7 +6,7 @@ from tools.meshing.shapes import Floats, Ints, Shape
 _ROUNDS = 5
 _FIRST_PRICED = 3  # earlier rounds only improve the worst cells
 _FITS = (60.0, 150.0, 300.0, 300.0)  # weights of the surface's distance to the shape, in steps
-# the other numbers here were tried until both shapes came out: they change the mesh, not its validity
+# the other numbers here were tuned until both shapes succeeded: they change the mesh, not its validity
 
 
 def improve_cells(shape: Shape, points: Floats, cells: Ints) -> tuple[Floats, Ints]:
@@ -27,7 +27,7 @@ def improve_cells(shape: Shape, points: Floats, cells: Ints) -> tuple[Floats, In
 
 
 def _reconnect(mesh: Complex, *, passes: int, price: float = 0.0, same_count: bool = False) -> None:
-    """Make the moves with a gain, best first; in a pass each move changes cells that no other one has changed."""
+    """Make the moves with a gain, best first; each pass changes a cell by one move at most."""
 
     def cost(move: Move) -> float:
         return move.cost + price * move.gain

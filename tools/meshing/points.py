@@ -74,7 +74,7 @@ def _run_lloyd(
 
 
 def carve(shape: Shape, points: Floats) -> Ints:
-    """Return the Delaunay tetrahedra inside the shape, a few toggled until their surface is a closed manifold."""
+    """Return the Delaunay tetrahedra inside the shape, with a few toggled until their surface is a closed manifold."""
     cells = Delaunay(points).simplices.astype(np.int64)
     corners = points[cells]
     edges = [corners[:, i] - corners[:, 0] for i in (1, 2, 3)]
@@ -91,7 +91,7 @@ def carve(shape: Shape, points: Floats) -> Ints:
 
 
 def _repair(cells: Ints, score: Floats, nodes: int) -> Ints:
-    """Return the cells of negative score; borderline ones are toggled as long as that leaves fewer defects."""
+    """Return the cells of negative score; borderline ones are toggled while that leaves fewer defects."""
     keep = score < 0
     count, where = find_defects(cells[keep], nodes)
     for _ in range(60):

@@ -26,7 +26,7 @@ _LONGEST_RING = 7  # 42 triangulations; longer ones are rare and slow
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _compute_quality(X: Floats, a: int, b: int, c: int, d: int) -> float:  # pragma: no cover - compiled
-    """Return 6 sqrt(2) V / rms(edge)^3 of one cell, as smoothing.compute_cell_quality."""
+    """Return 6 sqrt(2) V / rms(edge)^3 of one cell, like smoothing.compute_cell_quality."""
     s = 0.0
     u = np.empty((4, 3))
     for i in range(3):
@@ -48,7 +48,7 @@ def _compute_quality(X: Floats, a: int, b: int, c: int, d: int) -> float:  # pra
 
 
 def _compute_badness(quality: float) -> float:
-    """Return q^-2, continued by a steep line below 1e-3, so that an inverted cell has a price too."""
+    """Return q^-2, continued by a steep line below 1e-3, so that an inverted cell also has a price."""
     return 1e6 - 1e6 * quality if quality <= 1e-3 else quality**-2
 
 

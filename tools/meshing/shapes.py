@@ -32,7 +32,7 @@ class Shape:
 
 
 def compute_gradient(field: Field, points: Floats, step: float = 1e-4) -> Floats:
-    """Return the gradient (n, 3) by central differences; 1e-4 of bodies of size 30 leaves 8 digits."""
+    """Return the gradient (n, 3) by central differences; 1e-4 for bodies of size 30 leaves 8 digits."""
     result = np.empty_like(points)
     for axis in range(3):
         shift = np.zeros(3)
@@ -183,7 +183,7 @@ def _measure_armadillo(p: Floats) -> tuple[Floats, Floats]:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _blend_parts(points: Floats, table: Floats, is_ellipsoid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Return distance and radius, as `_measure_armadillo`; compiled, as it is often called for two points only."""
+    """Return distance and radius, like `_measure_armadillo`; compiled, as it is often called for just two points."""
     distance, radius = np.zeros(len(points)), np.zeros(len(points))
     for n in range(len(points)):
         nearest = np.inf
@@ -204,5 +204,5 @@ def _blend_parts(points: Floats, table: Floats, is_ellipsoid: NDArray[np.bool_])
                 nearest, radius[n] = value, own
             k = table[i, 8]
             h = min(max(0.5 + 0.5 * (value - distance[n]) / k, 0.0), 1.0) if i else 0.0
-            distance[n] = value * (1 - h) + distance[n] * h - k * h * (1 - h)  # as _unite
+            distance[n] = value * (1 - h) + distance[n] * h - k * h * (1 - h)  # like _unite
     return distance, radius
