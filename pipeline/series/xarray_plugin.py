@@ -157,8 +157,8 @@ def _to_numpy_index(key: tuple[Any, ...], shape: tuple[int, ...]) -> tuple[tuple
 def make_lazy_dataset(series: Series, first: Grid | None = None) -> xarray.Dataset:
     """Return the dataset of a series whose fields are read when needed; `first` is frame 0 if it has been read already.
 
-    It has displacement (time, node, axis), every other point field (time, node[, axis]), cell field (time, cell) and
-    number of a frame (time) under their names in the first frame, and rest_position and connectivity.
+    It has displacement (time, node, axis), rest_position and connectivity, and every other point field (time, node[,
+    axis]), cell field (time, cell) and number per frame (time) under its name in the first frame.
     """
     store, mesh, d = FrameStore(series, SerializableLock(), first), series.mesh, series.mesh.dimension
     grid = store.read_grid(0)
