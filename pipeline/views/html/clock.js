@@ -14,7 +14,7 @@ const report = (() => {
   let time = first;
   let running = 0;
 
-  // index of the last time that is not later than t; times increase; slack, as they have only 9 digits in the page
+  // index of the last of the increasing times up to t; with slack, as they have only 9 digits in the page
   function findFrame(times, t) {
     const slack = 1e-7 * Math.max(last - first, 1e-12);
     let low = 0;

@@ -25,7 +25,7 @@ class WorstCell:
 
 
 def find_worst_cells(statistics: "xarray.Dataset", mesh: Mesh, count: int) -> list[WorstCell]:
-    """Return the cells with the largest |V / V0 - 1| of all frames, worst first; NaN is ignored."""
+    """Return the cells with the largest |V / V0 - 1| over all frames, worst first; NaN is ignored."""
     ratio, frame = _find_extremes(statistics["volume_ratio"])
     change = np.abs(ratio - 1)
     # ties are broken by index: symmetric bodies have equal cells, and the page must not depend on the sort

@@ -56,7 +56,7 @@ class PictureLayout:
         return left + 2, top + round(HEADER * self.unit), right - 2, bottom - round(CURVE * self.unit)
 
     def place_curve(self, panel: Rect) -> Rect:
-        """Return the rectangle of the axes of a panel's curve, without its texts."""
+        """Return the rectangle of the axes of a panel's curve, without its labels."""
         left, _, right, bottom = panel
         s, width = self.unit, right - left
         margin = max(0.06 * width, 16 * s)

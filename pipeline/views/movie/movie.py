@@ -34,7 +34,7 @@ class MovieSummary:
     frames: int
     seconds: float
     speed: float  # simulated seconds per second of film; lower than requested if the film would be too short
-    poster_time: float  # time of the largest |V / V0 - 1| of all panels [s]
+    poster_time: float  # time of the largest |V / V0 - 1| in any panel [s]
     color_range: tuple[float, float]
     scenes: int  # frames that differ in more than the clock
 
@@ -122,7 +122,7 @@ def _describe_speed(line: Timeline) -> str:
 
 
 def find_poster_time(tracks: Sequence[Track]) -> float:
-    """Return the time of the largest |V / V0 - 1| of all cells of all panels [s]."""
+    """Return the time of the largest |V / V0 - 1| of any cell in any panel [s]."""
     peaks = [(float(np.nanmax(t.worst)), float(t.times[int(np.nanargmax(t.worst))])) for t in tracks]
     return max(peaks)[1]
 
