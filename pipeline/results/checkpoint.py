@@ -25,7 +25,7 @@ from pipeline.stepping.report import Effort, ModelChoice
 from pipeline.stepping.state import EnergyRecord, Memory, State
 
 _COUNT = 2
-_OWNERS = ("stepper", "inversion")  # of the arrays in a memory: stored as "owner.name"
+_OWNERS = ("stepper", "inversion")  # of the arrays in a state's memory: stored as "owner.name"
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ _LAST_STREAM = 2  # a child process has its own standard streams in these descri
 def lock_folder(folder: Path) -> Iterator[int]:
     """Lock the folder against every other run; the system releases it when this process ends, however it does.
 
-    Yields the descriptor of the lock: a process that inherits it holds the folder as well.
+    Yields the descriptor of the lock: a process that inherits it also holds the folder.
 
     Raises CaseError if another run holds it, OutputError if the lock file cannot be created. On a file system without
     locks, nothing is locked.
