@@ -1,8 +1,8 @@
 """Study points as tasks of dask.distributed, each result written as soon as it is ready, so that a sweep can resume.
 
 One point is one task, on a local cluster of single-threaded processes unless an existing scheduler is named. A point
-whose worker dies is computed again, at last alone; if its worker dies every time, that counts as the point's error.
-Without the package `distributed` (the extra `study`) the points are computed one after the other in this process.
+whose worker dies is computed again, the last time alone; if its worker dies every time, that is the point's error.
+Without the package `distributed` (the extra `study`), the points are computed one at a time in this process.
 """
 
 import json
@@ -144,7 +144,7 @@ def _compute_points(
         lost = []
         for point, result in _run_points(client, task, points, 1 if timed else len(points)):
             if "lost" in result:
-                lost.append(point)  # perhaps killed by another point there: the second time each runs alone
+                lost.append(point)  # maybe due to another point on that worker: the second time each runs alone
             else:
                 yield point, result
         for point, result in _run_points(client, task, lost, 1):

@@ -49,13 +49,13 @@ class Scaling:
         return f"<Scaling: {len(self.rows)} rows, bandwidth {self.bandwidth:.1f} GB/s>"
 
     def format_lines(self) -> list[str]:
-        """Return the table, a line for each point, and the rows of the method tables that are not measured."""
+        """Return the table, with a line for each point, and the rows of the method tables that are not measured."""
         methods = [{key.removeprefix("method."): value for key, value in keys.items()} for keys in METHODS.values()]
         return [*format_costs(self.rows, self.rivals), f"not measured: {', '.join(list_left_out(methods))}"]
 
 
 def parse_cells(text: str) -> list[int]:
-    """Return the cells along every axis, of a text such as 8x26x8; raises CaseError."""
+    """Return the cells along every axis, from text such as 8x26x8; raises CaseError."""
     try:
         return [int(count) for count in text.split("x")]
     except ValueError:

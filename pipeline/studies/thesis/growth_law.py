@@ -56,7 +56,7 @@ def read_linear_growth(series: Series) -> Growth:
 
 
 def read_step_growth(series: Series) -> Growth:
-    """Return the growth of all cells and steps of a run with one solve a step and a frame for every step."""
+    """Return the growth of all cells and steps of a run with one solve per step and a frame for every step."""
     angles, ratios, before = [], [], None
     for F in _list_gradients(series):
         R = polar(F)

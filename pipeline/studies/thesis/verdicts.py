@@ -21,7 +21,7 @@ class Finding:
 
 
 def judge(number: PublishedNumber, as_printed: float | None, calibrated: float | None, factor: float) -> str:
-    """Return the verdict with the remark; as printed comes first, and a number not reproduced has its deviations."""
+    """Return the verdict with the remark; the run as printed is judged first; a failed verdict has the deviations."""
     remark = f" ({number.remark})" if number.remark else ""
     if as_printed is not None and abs(as_printed - number.value) <= number.tolerance:
         return f"{REPRODUCED}{remark}"

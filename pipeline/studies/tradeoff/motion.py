@@ -113,7 +113,7 @@ def pack_array(values: Floats) -> str:
 
 
 def unpack_array(text: str, shape: tuple[int, ...]) -> Floats:
-    """Return the array packed in a text."""
+    """Return the array packed as text."""
     return np.frombuffer(base64.b64decode(text), dtype="<f4").astype(np.float64).reshape(shape)
 
 

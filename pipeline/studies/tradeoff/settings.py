@@ -41,7 +41,7 @@ QUICK_FACTORS = (1.0, 0.5, 0.25)
 # parts of the smallest step: the reference stepper alone takes these too, and half the last is the reference's
 SMALLER = (0.5, 0.25)
 REFERENCE_PART = 0.125
-_FINE_STEPS = 3  # number of the plan's, from the case's own down: finer meshes cost eight times as much or more
+_FINE_STEPS = 3  # of the plan's steps, from the case's own down: finer meshes cost eight times as much or more
 _MOST_FRAMES = 50  # compared per run; more would cost memory and hardly change the errors
 _BELOW_LIMIT = 0.9  # of the limit at rest, which falls as the body deforms
 

@@ -1,8 +1,8 @@
 """A trade-off study as rows, one for each setting: its cost and its distance from each reference.
 
 model    from the converged solution with the same stepper, dt, mesh and mass: the error of law and iterations
-motion   from the converged solution of a small step on the same mesh: that, and the error of stepper, dt and mass
-total    from that reference on the finest mesh, at the common nodes: that, and the error of the mesh
+motion   from the converged solution of a small step on the same mesh: that error and those of stepper, dt and mass
+total    from that reference on the finest mesh, at the common nodes: those errors and that of the mesh
 """
 
 from collections.abc import Callable, Mapping

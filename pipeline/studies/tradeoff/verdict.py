@@ -17,7 +17,7 @@ _TIED = 1.1  # seconds within this ratio are equal: timing cannot separate them
 
 @dataclass(frozen=True)
 class AutoVerdict:
-    """model = "auto" beside the cheapest fixed setting of the same stepper, dt and mesh that meets the same tolerance.
+    """model = "auto" against the cheapest fixed setting of the same stepper, dt and mesh that meets the same tolerance.
 
     `volume` is the worst |J - J_ref| of auto against the converged solution, to be within twice the tolerance. The
     rival's is within the tolerance, or within auto's if auto exceeds that. `iterations` count linear solves, which do
