@@ -2,9 +2,9 @@
 
     python benchmarks/movies.py 2x8x2 [--frames 100] [--repeats 3]
 
-The bar of the thesis, linear beside polar, 1280x720, all pictures different. The frames are on disk, as after a run.
-"Pictures" counts from the first one to the closed file; "whole" includes reading and the start of OpenGL. Wall time;
-nothing else should run.
+The bar of the thesis, linear and polar side by side, 1280x720, all pictures different. The frames are on disk, as after
+a run. "Pictures" counts from the first one to the closed file; "whole" includes reading and the start of OpenGL. Wall
+time; nothing else should run.
 """
 
 import argparse

@@ -2,7 +2,7 @@
 
 Moves: an edge and its 3 to 7 cells replaced by the best triangulation of the ring around it (inside and on the
 surface); a face replaced by the edge through it (2 cells to 3); a cell peeled off the surface, or added to it.
-The cost of a move is the change of sum q^-2, and on the surface that of its distance from the shape.
+The cost of a move is the change in sum q^-2, and on the surface also that in its distance from the shape.
 """
 
 from collections import defaultdict
@@ -83,7 +83,7 @@ class Move:
 
     @property
     def gain(self) -> int:
-        """Return the change of the number of cells."""
+        """Return the change in the number of cells."""
         return len(self.new) - len(self.old)
 
 
