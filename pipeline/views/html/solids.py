@@ -55,7 +55,7 @@ class Solids:
 def pack_solids(
     series: Sequence[Series], labels: Sequence[str], moments: Sequence[int], on_frame: OnFrameRead | None = None
 ) -> Solids | None:
-    """Return the surfaces of series over time, None if k3d is not installed.
+    """Return the surfaces of series over time, or None if k3d is not installed.
 
     Long series and large meshes show only some of their frames: every k-th, the last, and that of `moments` (one
     frame for each series). `on_frame(label, done, frames)` is called after each. Raises SeriesError if a frame cannot
