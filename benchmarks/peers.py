@@ -18,7 +18,6 @@ from pipeline.problem.problem import Problem
 from pipeline.studies.scaling.rival import Rival
 from pipeline.studies.scaling.step_cost import build_point, measure_median_ms, read_peak_megabytes
 
-INSTALL = "pip install 'corotational-pipeline[bench]', in an environment of its own"
 _WARM_STEPS = 5  # so that the cells have turned before ours is timed
 # MuJoCo warns if a step needs more iterations than this; a step of 0.07 s may exceed the default of 100
 _MUJOCO_ITERATIONS = 1000

@@ -21,7 +21,7 @@ from pipeline.series.dataset_writer import write_pvd_series
 if TYPE_CHECKING:
     import xarray
 
-_ON_A_FACE = 1e-9  # of a cell's size: rounding can put points on the surface outside
+_ON_A_FACE = 1e-9  # of the body's size, and of barycentric coordinates: rounding can put surface points outside
 
 
 class Worst(NamedTuple):

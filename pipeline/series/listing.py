@@ -101,7 +101,7 @@ def _list_members(index: Path) -> tuple[list[Member], list[str]]:
 
 
 def _list_numbered(where: Path, candidates: Iterable[Path]) -> tuple[list[Member], list[str]]:
-    """Return files in the order of their numbers, with their own times or, if none has one, their positions."""
+    """Return the instants of numbered files in order, and notes; without times of their own they are counted from 0."""
     files = sorted((file for file in candidates if not file.name.startswith(".")), key=_make_natural_key)
     if any(file.suffix == ".pvtu" for file in files):  # the other files are its pieces
         files = [file for file in files if file.suffix == ".pvtu"]

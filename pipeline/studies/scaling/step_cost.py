@@ -1,6 +1,6 @@
 """The cost of a step of one method on one mesh, and its peak memory, measured in a process of its own.
 
-Times are processor times, not wall times: on a shared core, a call that outlasts its turn would seem slower.
+Times of steps are processor times, not wall times: on a shared core, a call that outlasts its turn would seem slower.
 """
 
 import sys
