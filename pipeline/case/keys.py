@@ -51,7 +51,7 @@ ONLY_VARIANT = "default"
 def about(description: str, unit: str | None = None) -> FieldInfo:
     """Return the metadata of a key: its sentence and its unit, for the JSON Schema and the docs."""
     extra = None if unit is None else {"unit": unit}
-    return Field(description=description, json_schema_extra=extra)  # type: ignore[arg-type]
+    return Field(description=description, json_schema_extra=extra)  # type: ignore[arg-type]  # its JSON type is invariant
 
 
 class Spec(BaseModel):

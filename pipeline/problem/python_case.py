@@ -1,9 +1,11 @@
 """Cases made in Python: meshes and loads from arrays, supports and loads from functions of X and t."""
 
 import inspect
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -41,8 +43,8 @@ def make_case(
     and variants.
 
     The result folder describes arrays and functions but does not contain them: to solve such a case again, make it
-    again. A function counts as unchanged if its code and its values at 16 times in the schedule are the same. Raises
-    CaseError if a section is wrong, a shape does not fit or a value is not finite.
+    again. A function counts as unchanged if its code, the values that it refers to, and its results at 16 times in the
+    schedule are the same. Raises CaseError if a section is wrong, a shape does not fit or a value is not finite.
     """
     path = Path(f"{name} (made in Python)")
     document: dict[str, Any] = {"name": name, "material": material, "schedule": schedule, **sections}
@@ -121,9 +123,8 @@ class _Describer:
             return self._check_values(key, values, X.shape)
 
         samples = [evaluate(X, time) for time in (self.times if takes_time else self.times[:1])]
-        code = getattr(getattr(function, "__code__", None), "co_code", b"")
         name = getattr(function, "__name__", type(function).__name__)
-        return PythonValue(f"function {name}, {_digest(np.stack(samples), code)}", evaluate)
+        return PythonValue(f"function {name}, {_digest(np.stack(samples), *_list_parts(function))}", evaluate)
 
     def _check_values(self, key: str, values: Any, shape: tuple[int, ...]) -> Floats:
         array = np.asarray(values, dtype=np.float64)
@@ -166,6 +167,42 @@ def _count_arguments(function: Callable[..., Any]) -> int:
     except (TypeError, ValueError):
         return 2
     return sum(p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) and p.default is p.empty for p in parameters)
+
+
+def _list_parts(function: Callable[..., Any], seen: frozenset[int] = frozenset()) -> list[bytes]:
+    """Return the code of a function and the values that it refers to: constants, defaults, closure and globals.
+
+    A value that cannot be written down differs in every process: then the case counts as changed, never as unchanged.
+    """
+    if id(function) in seen:  # it calls itself
+        return []
+    code = getattr(function, "__code__", None)
+    if code is None:
+        return _list_value(function, seen)
+    cells = [cell.cell_contents for cell in getattr(function, "__closure__", None) or ()]
+    known = getattr(function, "__globals__", {})
+    values = [*(getattr(function, "__defaults__", None) or ()), *cells]
+    values += [known[name] for name in code.co_names if name in known and not isinstance(known[name], ModuleType)]
+    inner = seen | {id(function)}
+    return [*_list_constants(code), *(part for value in values for part in _list_value(value, inner))]
+
+
+def _list_constants(code: CodeType) -> list[bytes]:
+    """Return the instructions, names and constants of a function's code and of the functions inside it."""
+    parts = [code.co_code, repr(code.co_names).encode()]
+    for constant in code.co_consts:
+        parts += _list_constants(constant) if isinstance(constant, CodeType) else [repr(constant).encode()]
+    return parts
+
+
+def _list_value(value: Any, seen: frozenset[int]) -> list[bytes]:
+    """Return a value as bytes; a function as its own parts, so that they are the same in every process."""
+    if isinstance(value, FunctionType):
+        return _list_parts(value, seen)
+    try:
+        return [pickle.dumps(value)]
+    except Exception:  # of any kind: the value decides how it is pickled
+        return [repr(value).encode(), str(id(value)).encode()]
 
 
 def _digest(*parts: Any) -> str:

@@ -154,3 +154,26 @@ def test_a_case_from_python_is_a_case():
     assert isinstance(case.variant("default"), type(case)) and case.schedule.frames == 4
     assert isinstance(build(case).body.mesh, Mesh)
     assert case == beam() and case != beam(initial={"velocity": np.ones((16, 3))})
+
+
+def make_pulse(size):
+    """A push that lasts for a moment between two of the sampled times."""
+    return lambda X, t: np.full(X.shape, size if 0.0006 < t < 0.0007 else 0.0)
+
+
+STRENGTH = 1.0
+
+
+def push_by_constant(X, t):
+    return np.full(X.shape, STRENGTH if 0.0006 < t < 0.0007 else 0.0)
+
+
+def test_functions_that_differ_between_the_sampled_times_are_different_cases(monkeypatch):
+    assert beam(loads={"body_force": make_pulse(1.0)}) == beam(loads={"body_force": make_pulse(1.0)})
+    assert beam(loads={"body_force": make_pulse(1.0)}) != beam(loads={"body_force": make_pulse(2.0)})
+    tables = [{"forces": [np.arange(5000.0), np.full(5000, last)]} for last in (1.0, 1.0, 2.0)]  # repr shortens these
+    first, same, other = (beam(loads={"body_force": lambda X, t, table=table: 0 * X}) for table in tables)
+    assert first == same and first != other
+    before = beam(loads={"body_force": push_by_constant})
+    monkeypatch.setitem(globals(), "STRENGTH", 2.0)
+    assert before != beam(loads={"body_force": push_by_constant})
