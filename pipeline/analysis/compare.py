@@ -256,12 +256,12 @@ def _have_same_cells(series: Sequence[Series], *, difference: bool) -> bool:
     for other in series[1:]:
         if other.mesh.dimension != first.dimension:
             raise SeriesError(f"{other.name} has {other.mesh.dimension} dimensions, {series[0].name} {first.dimension}")
-        if np.array_equal(other.mesh.cells, first.cells):
+        if np.array_equal(other.mesh.cell_array.connectivity, first.cell_array.connectivity):
             continue
         if difference:
             raise SeriesError(
-                f"a difference needs the same cells: {series[0].name} has {len(first.cells)} cells of "
-                f"{len(first.points)} nodes, {other.name} {len(other.mesh.cells)} of {len(other.mesh.points)}, "
+                f"a difference needs the same cells: {series[0].name} has {len(first.rest_volumes)} cells of "
+                f"{len(first.points)} nodes, {other.name} {len(other.mesh.rest_volumes)} of {len(other.mesh.points)}, "
                 "or the same in another order"
             )
         return False

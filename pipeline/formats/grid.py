@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +34,33 @@ class LazyArrays(Mapping[str, NDArray[Any]]):
         return f"LazyArrays({', '.join(self._encoded)})"
 
 
+class PolyhedronFaces(NamedTuple):
+    """The faces of polyhedra: face f has the points connectivity[offsets[f]:offsets[f + 1]].
+
+    Cell c has the faces cell_offsets[c] to cell_offsets[c + 1] (exclusive); cells that are no polyhedra have none.
+    """
+
+    connectivity: Ints
+    offsets: Ints
+    cell_offsets: Ints
+
+
+class CellArray(NamedTuple):
+    """Cells of any kind in VTK's layout: cell c has the points connectivity[offsets[c]:offsets[c + 1]]."""
+
+    types: NDArray[np.uint8]
+    offsets: Ints
+    connectivity: Ints
+    faces: PolyhedronFaces | None = None
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Grid:
     """Points (n, 3), cells in VTK's layout (types, offsets, connectivity) and the fields of one instant.
 
-    `stored_points` are the points, or LazyArrays with the entry Points; `count` is the number of points.
+    `stored_points` are the points, or LazyArrays with the entry Points; `count` is the number of points. A grid that
+    was joined from several parts (files, pieces, blocks) has the number of its points in each of them in `parts`, and
+    the name of each in `part_names`: points of different parts that coincide at rest are one node of the body.
     """
 
     stored_points: Floats | LazyArrays
@@ -49,6 +71,14 @@ class Grid:
     point_data: Fields
     cell_data: Fields
     field_data: Fields
+    faces: PolyhedronFaces | None = None
+    parts: tuple[int, ...] = ()
+    part_names: tuple[str, ...] = ()
+
+    @property
+    def cells(self) -> CellArray:
+        """The cells in VTK's layout."""
+        return CellArray(self.types, self.offsets, self.connectivity, self.faces)
 
     @property
     def points(self) -> Floats:
@@ -66,7 +96,9 @@ class Grid:
 
     def share_cells(self, other: "Grid") -> "Grid":
         """Return this grid with the cell arrays of another, which must be equal, so that memory holds them once."""
-        return replace(self, types=other.types, offsets=other.offsets, connectivity=other.connectivity)
+        return replace(
+            self, types=other.types, offsets=other.offsets, connectivity=other.connectivity, faces=other.faces
+        )
 
     def select_cells(self, cell_type: int) -> Ints:
         """Return the cells of one VTK type with a fixed number of corners (e, corners)."""

@@ -117,9 +117,11 @@ def make_grid(data: Any, file: Path) -> Grid:
         raise SeriesError(f"{file}: {fault}")
     if connectivity.min() < 0 or connectivity.max() >= len(points):
         raise SeriesError(f"{file}: a cell refers to point {connectivity.max()} of {len(points)} (counted from 0)")
-    fields = [{name: np.asarray(data[name]) for name in data.keys()} for data in  # noqa: SIM118  (pyvista's fields iterate over values)
-              (grid.point_data, grid.cell_data, grid.field_data)]  # fmt: skip
-    return Grid(points, len(points), types, offsets, connectivity, *fields)
+    nodal, cellular, numbers = (
+        {name: np.asarray(data[name]) for name in data.keys()}  # noqa: SIM118  (pyvista's fields iterate over values)
+        for data in (grid.point_data, grid.cell_data, grid.field_data)
+    )
+    return Grid(points, len(points), types, offsets, connectivity, nodal, cellular, numbers)
 
 
 def _find_cell_fault(types: NDArray[np.uint8], offsets: Ints, length: int) -> str | None:

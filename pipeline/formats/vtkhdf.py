@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Fields, Ints
+from pipeline.arrays import Fields
 from pipeline.formats.atomic import replace_file
-from pipeline.formats.cell_types import CELL_TYPES
+from pipeline.formats.grid import CellArray
 
 _GROUPS = ("turns/even", "turns/odd")
 
@@ -73,7 +73,7 @@ class VtkhdfFile:
 
 def lay_out_file(
     path: Path,
-    cells: Ints,
+    cells: CellArray,
     rest: NDArray[np.floating],
     arrays: Fields,
     *,
@@ -107,19 +107,20 @@ def _frame_rows(values: NDArray[Any], index: int) -> slice:
     return slice(index * len(values), (index + 1) * len(values))
 
 
-def _lay_out_cells(root: Any, cells: Ints, rest: NDArray[np.floating]) -> None:
+def _lay_out_cells(root: Any, cells: CellArray, rest: NDArray[np.floating]) -> None:
     """Write everything that never changes."""
-    n, (e, corners) = len(rest), cells.shape
+    n, e = len(rest), len(cells.types)
     root.attrs["Version"] = np.array([2, 0], dtype=np.int64)
     root.attrs["Type"] = np.bytes_("UnstructuredGrid")
-    for name, count in {"Points": n, "Cells": e, "ConnectivityIds": e * corners}.items():
+    for name, count in {"Points": n, "Cells": e, "ConnectivityIds": len(cells.connectivity)}.items():
         root[f"NumberOf{name}"] = np.array([count], dtype=np.int64)
-    for name, values in {
-        "Connectivity": cells.ravel(),
-        "Offsets": np.arange(0, e * corners + 1, corners, dtype=np.int64),
-        "Types": np.full(e, CELL_TYPES[corners - 1], dtype=np.uint8),
+    static: dict[str, NDArray[Any]] = {
+        "Connectivity": cells.connectivity,
+        "Offsets": cells.offsets,
+        "Types": cells.types,
         "PointData/rest_position": rest,
-    }.items():
+    }
+    for name, values in static.items():
         _store(root, name, values)
 
 

@@ -152,8 +152,8 @@ def _parse_file(file: Path) -> Grid:
     if cells.keys() != {"connectivity", "offsets", "types"} or "vtkGhostType" in cell_data:
         raise _NotInlineError
     cell_arrays = _decode_cells(cells["types"], cells["offsets"], cells["connectivity"], *counts.values())
-    located, *fields = (_make_lazy(group, file) for group in groups[:4])
-    return Grid(located, points.shape[0], *cell_arrays, *fields)
+    located, nodal, cellular, numbers = (_make_lazy(group, file) for group in groups[:4])
+    return Grid(located, points.shape[0], *cell_arrays, nodal, cellular, numbers)
 
 
 def _make_lazy(group: dict[str, Packed], file: Path) -> LazyArrays:

@@ -14,8 +14,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Fields, Ints
-from pipeline.formats.cell_types import CELL_TYPES
+from pipeline.arrays import Fields
+from pipeline.formats.grid import CellArray
 from pipeline.formats.vtu_read import NUMPY_TYPES
 
 _TYPE_NAMES = {dtype: name for name, dtype in NUMPY_TYPES.items()}
@@ -34,16 +34,15 @@ class StaticParts(NamedTuple):
     rest: bytes
 
 
-def encode_static_parts(cells: Ints, rest: NDArray[np.floating]) -> StaticParts:
-    """Return the parts that frames of simplices (e, d + 1) with rest positions (n, 3) share."""
-    e, corners = cells.shape
-    arrays = {
-        "connectivity": cells.astype(np.int64, copy=False).ravel(),
-        "offsets": np.arange(corners, corners * e + 1, corners, dtype=np.int64),
-        "types": np.full(e, CELL_TYPES[corners - 1], dtype=np.uint8),
+def encode_static_parts(cells: CellArray, rest: NDArray[np.floating]) -> StaticParts:
+    """Return the parts that frames with these cells and rest positions (n, 3) share."""
+    arrays: dict[str, NDArray[Any]] = {
+        "connectivity": cells.connectivity.astype(np.int64, copy=False),
+        "offsets": cells.offsets[1:].astype(np.int64, copy=False),
+        "types": cells.types,
     }
     encoded = _encode_element("Cells", (_encode_array(*item, static=True) for item in arrays.items()))
-    return StaticParts((len(rest), e), encoded, _encode_array("rest_position", rest, static=True))
+    return StaticParts((len(rest), len(cells.types)), encoded, _encode_array("rest_position", rest, static=True))
 
 
 def encode_vtu(

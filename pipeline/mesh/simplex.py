@@ -9,6 +9,9 @@ from scipy.sparse.csgraph import connected_components
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
+from pipeline.formats.cell_types import CELL_TYPES
+from pipeline.formats.grid import CellArray
+from pipeline.mesh.body_mesh import BodyMesh
 
 _LARGEST = 1e30  # [m]: squares and cubes of coordinates do not overflow
 _AT_A_TIME = 8192  # cells: intermediate arrays stay in the cache
@@ -97,10 +100,22 @@ class Mesh:
         return signed_volumes(self.points, self.cells)
 
     @cached_property
+    def cell_array(self) -> CellArray:
+        """Return the cells in VTK's layout."""
+        e, corners = self.cells.shape
+        types = np.full(e, CELL_TYPES[self.dimension], dtype=np.uint8)
+        return CellArray(types, np.arange(0, corners * e + 1, corners, dtype=np.int64), self.cells.ravel())
+
+    @cached_property
     def shape_gradients(self) -> Floats:
         """Return grad N_a (e, d + 1, d) [1/m]: the rows of Dm^-1, and minus their sum for the first vertex."""
         inverse = np.linalg.inv(edge_matrices(self.points, self.cells))
         return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+
+    @cached_property
+    def centers(self) -> Floats:
+        """Return the mean rest position of the points of every cell (e, d)."""
+        return np.asarray(self.points[self.cells].mean(axis=1))
 
     @cached_property
     def size(self) -> float:
@@ -112,6 +127,13 @@ class Mesh:
         """Return each node's share V / (d + 1) of its cells (n,)."""
         share = np.repeat(self.rest_volumes / (self.dimension + 1), self.dimension + 1)
         return np.bincount(self.cells.ravel(), weights=share, minlength=len(self.points)).astype(np.float64, copy=False)
+
+
+def require_simplices(mesh: BodyMesh) -> Mesh:
+    """Return the mesh itself if it consists of linear simplices; raises MeshError otherwise."""
+    if not isinstance(mesh, Mesh):
+        raise MeshError(f"{mesh.name}: its cells are not linear tetrahedra or triangles")
+    return mesh
 
 
 def measure_quality(mesh: Mesh) -> Floats:

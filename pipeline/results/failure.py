@@ -107,7 +107,7 @@ class Failure:
             "step": np.array([[state.step]]),
             "message": np.array([message.encode(errors="replace")]),
         }
-        static = encode_static_parts(mesh.cells, rest)
+        static = encode_static_parts(mesh.cell_array, rest)
         write_whole(folder / FILE, encode_vtu(pad_to_space(state.x), point_data, cell_data, field_data, static))
 
 

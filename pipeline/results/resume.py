@@ -108,7 +108,11 @@ def _open_old_statistics(path: Path, count: int) -> Iterator[Any]:
 
 def _read_cell_values(old: Any, grid: Grid, index: int) -> dict[str, Any]:
     """Return a dataset's values of the cells in a frame; raises SeriesError if the frame's file has other values."""
-    rows = {name: old[name][index] for name, variable in VARIABLES.items() if variable.dims == ("cell",)}
+    rows = {
+        name: old[name][index]
+        for name, variable in VARIABLES.items()
+        if name in old.variables and variable.dims == ("cell",)
+    }
     for name, row in rows.items():
         if not np.array_equal(row.astype(np.float32), grid.cell_data[name]):
             raise SeriesError(f"statistics.nc: {name} of frame {index} differs from that in the frame's file")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Floats
 from pipeline.linear.work import Work
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.stepping.state import State
 
 Values = Mapping[str, NDArray[np.float64]]
@@ -22,17 +22,22 @@ class Frame:
     `known` are the values that only the solver knows (energies, momenta, iterations), by the names in
     `measures.VARIABLES` and `STEPS`; `work` is the work since the previous frame. A foreign series has none of
     them: `known` is empty, and step, v, work and state are None.
+
+    Nodes that a frame does not have are NaN in x, and so are the numbers of their cells; `fault` says why. A frame
+    whose cells are not those of the mesh (after remeshing) has numbers of the whole body in `whole`.
     """
 
     index: int
     time: float
-    mesh: Mesh
+    mesh: BodyMesh
     x: Floats
     step: int | None = None
     v: Floats | None = None
     known: Values = field(default_factory=dict)
     work: Work | None = None
     state: State | None = None
+    whole: Values = field(default_factory=dict)
+    fault: str = ""
 
     def __repr__(self) -> str:
         step = "" if self.step is None else f", step {self.step}"

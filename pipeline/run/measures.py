@@ -5,12 +5,14 @@ Pure functions: sinks use them to measure the frames of a run, and an analysis t
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
+from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.run.frame import Frame, Values
 
@@ -30,12 +32,14 @@ class Variable:
 _RUNGS = "0 linear, 1 corotational, 2 converged"
 VARIABLES: Mapping[str, Variable] = {
     "volume_ratio": Variable(("cell",), "1", "volume over rest volume, det F", "negative for inverted cells"),
+    "volume_ratio_min": Variable(("cell",), "1", "smallest det F in the cell", "of quadrature points and nodes"),
+    "volume_ratio_max": Variable(("cell",), "1", "largest det F in the cell", "of quadrature points and nodes"),
     "rotation_angle": Variable(("cell",), "degree", "angle of the polar rotation of the deformation gradient"),
     "total_volume": Variable((), "m3", "signed sum of the volumes of all cells"),
     "volume_drift": Variable((), "1", "total volume over total rest volume, minus one"),
     "volume_ratio_mean": Variable((), "1", "mean volume ratio, weighted by rest volume"),
     "volume_ratio_quantile": Variable(("quantile",), "1", "quantiles of the volume ratio over cells, unweighted"),
-    "inverted_count": Variable((), "1", "number of cells with a volume ratio of zero or less"),
+    "inverted_count": Variable((), "1", "number of inverted cells", "det F is zero or less somewhere in them"),
     "center_of_mass": Variable(("axis",), "m", "center of mass", "of a body of uniform density"),
     "kinetic_energy": Variable((), "J", "kinetic energy"),
     "elastic_energy": Variable((), "J", "elastic energy", "of the law that was solved"),
@@ -85,37 +89,56 @@ def pad_to_space(vector: Floats) -> Floats:
     return np.pad(vector, [(0, 0)] * (vector.ndim - 1) + [(0, missing)])
 
 
-def measure_cells(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
-    """Return the signed volume and the angle of the polar rotation [rad] of each cell (e,) at positions x (n, d)."""
+class CellMeasures(NamedTuple):
+    """Measures of every cell (e,): signed volume, extremes of det F in it, angle of its polar rotation [rad]."""
+
+    volumes: Floats
+    ratio_min: Floats
+    ratio_max: Floats
+    angles: Floats
+
+
+def measure_cells(mesh: BodyMesh, x: Floats) -> CellMeasures:
+    """Return the measures of each cell at positions x (n, d)."""
+    if not isinstance(mesh, Mesh):
+        raise NotImplementedError
     if mesh.dimension == 2:
-        return measure_cells_by_numpy(mesh, x)
+        return measure_simplices_by_numpy(mesh, x)
     from pipeline.fem.kernels import volumes_and_angles as measure_kernels
 
     volumes, angles = np.empty((2, len(mesh.cells)))
     x = np.ascontiguousarray(x, dtype=np.float64)
     measure_kernels.measure_cells(x, mesh.cells, mesh.shape_gradients, volumes, angles)
-    return volumes, angles
+    ratio = volumes / mesh.rest_volumes
+    return CellMeasures(volumes, ratio, ratio, angles)
 
 
-def measure_cells_by_numpy(mesh: Mesh, x: Floats) -> tuple[Floats, Floats]:
+def measure_simplices_by_numpy(mesh: Mesh, x: Floats) -> CellMeasures:
     """Return the same as `measure_cells`: the reference for the compiled kernel, also used for triangles."""
-    return signed_volumes(x, mesh.cells), angle(polar(deformation_gradient(mesh, x)))
+    volumes = signed_volumes(x, mesh.cells)
+    ratio = volumes / mesh.rest_volumes
+    return CellMeasures(volumes, ratio, ratio, angle(polar(deformation_gradient(mesh, x))))
 
 
 def measure(frame: Frame) -> Values:
     """Return the values of all variables that this frame has, by the names in VARIABLES and STEPS."""
     mesh = frame.mesh
-    volumes, angles = measure_cells(mesh, frame.x)
-    ratio = volumes / mesh.rest_volumes
-    total, rest = volumes.sum(), mesh.rest_volumes.sum()
+    cells = measure_cells(mesh, frame.x)
+    ratio = cells.volumes / mesh.rest_volumes
+    total, rest = cells.volumes.sum(), mesh.rest_volumes.sum()
+    extremes: Values = {}
+    if not isinstance(mesh, Mesh):  # in linear simplices det F is the same everywhere
+        extremes = {"volume_ratio_min": cells.ratio_min, "volume_ratio_max": cells.ratio_max}
     return {
         **frame.known,
         "volume_ratio": ratio,
-        "rotation_angle": np.degrees(angles),
+        **extremes,
+        "rotation_angle": np.degrees(cells.angles),
         "total_volume": np.asarray(total),
         "volume_drift": np.asarray(total / rest - 1),
         "volume_ratio_mean": np.asarray((ratio * mesh.rest_volumes).sum() / rest),
         "volume_ratio_quantile": np.quantile(ratio, QUANTILES),
-        "inverted_count": np.asarray(float((ratio <= 0).sum())),
+        "inverted_count": np.asarray(float((cells.ratio_min <= 0).sum())),
         "center_of_mass": pad_to_space(mesh.node_volumes @ frame.x / rest),
+        **frame.whole,
     }

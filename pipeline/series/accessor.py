@@ -48,7 +48,7 @@ class DeformationAccessor:
     def rotation_angle(self) -> "xarray.DataArray":
         """Return the angle of the polar rotation of every cell in every frame (time, cell) [degree]."""
         mesh = self.mesh()
-        rows = [np.degrees(measure_cells(mesh, x)[1]) for x in self._iterate_positions(mesh)]
+        rows = [np.degrees(measure_cells(mesh, x).angles) for x in self._iterate_positions(mesh)]
         return self._stack("rotation_angle", rows)
 
     def worst(self) -> Worst:

@@ -35,7 +35,7 @@ def write_pvd_series(dataset: "xarray.Dataset", path: str | os.PathLike[str]) ->
     if strange:
         raise SeriesError(f"{path}: frames cannot hold {', '.join(strange)}; drop_vars them, or put time first")
     rest, moving = dataset["rest_position"].values, dataset.drop_vars(STATIC)
-    static, entries = encode_static_parts(mesh.cells, rest), []
+    static, entries = encode_static_parts(mesh.cell_array, rest), []
     attributes = {str(name): variable.attrs for name, variable in dataset.variables.items()} | {"": dataset.attrs}
     first = {ATTRIBUTES: np.array([json.dumps(attributes, default=_to_json).encode()])}
     for index, (time, fields) in enumerate(_iterate_frames(moving, rest)):

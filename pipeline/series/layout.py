@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from pipeline.errors import MeshError, SeriesError, join_names, shorten
 from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.formats.grid import Grid
 from pipeline.formats.readers import SUFFIXES
+from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.cleanup import orient_cells
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 from pipeline.series.frame_files import read_grid
@@ -40,21 +42,40 @@ class Options:
     rest: str | os.PathLike[str] | None = None
 
 
+class Arrangement(NamedTuple):
+    """The points (n,) and cells (e,) of a file that are the nodes and cells of the mesh; None if they are equal."""
+
+    nodes: Ints | None = None
+    cells: Ints | None = None
+
+    def select_nodes(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the values of the mesh's nodes, given those of a file's points."""
+        return values if self.nodes is None else values[self.nodes]
+
+    def select_cells(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the values of the mesh's cells, given those of a file's cells."""
+        return values if self.cells is None else values[self.cells]
+
+
 @dataclass(frozen=True, eq=False)
 class SeriesLayout:
     """How frames become positions on one mesh.
 
-    `nodes` (n,) are the points of the files that are nodes of the mesh, `chosen` (cells of the files,) marks the
-    measured cells; `displacement` names the field that is added to the points.
+    `arrangement` says where the first frame has the nodes and cells of the mesh; `displacement` names the field that is
+    added to the points.
     """
 
-    mesh: Mesh
-    nodes: Ints | None
-    chosen: NDArray[np.bool_] | None
+    mesh: BodyMesh
+    arrangement: Arrangement
     displacement: str | None
     grid: Grid  # points and cells of the first frame, without fields
     notes: tuple[str, ...]
     guessed: bool  # the displacement was found by its name
+
+    def arrange(self, grid: Grid, where: str) -> Arrangement:
+        """Return where a frame has the nodes and cells of the mesh; raises SeriesError if it does not have them."""
+        self.check_cells(grid, where)
+        return self.arrangement
 
     def check_cells(self, grid: Grid, where: str) -> None:
         """Raise SeriesError if the cells of a frame are not those of the first."""
@@ -67,7 +88,7 @@ class SeriesLayout:
 
     def compute_positions(self, grid: Grid, where: str) -> Floats:
         """Return the positions of a frame (n, d); raises SeriesError if they do not fit this mesh."""
-        self.check_cells(grid, where)
+        arrangement = self.arrange(grid, where)
         if self.guessed and not np.array_equal(grid.points, self.grid.points):
             field = shorten(self.displacement or "")
             raise SeriesError(
@@ -75,7 +96,7 @@ class SeriesLayout:
                 f'displacement = "{field}" must be added to them, or "none"'
             )
         points = add_displacement(grid, self.displacement, where)
-        points = points if self.nodes is None else points[self.nodes]
+        points = arrangement.select_nodes(points)
         bad = np.flatnonzero(~(np.abs(points) < _LARGEST).all(axis=1))  # negated so that NaN counts too
         if bad.size:
             raise SeriesError(f"{where}: {bad.size} points are not finite, first {self.find_point(bad[0])}")
@@ -83,7 +104,8 @@ class SeriesLayout:
 
     def find_point(self, node: int) -> int:
         """Return the number that a node of the mesh has in the files."""
-        return int(node if self.nodes is None else self.nodes[node])
+        nodes = self.arrangement.nodes
+        return int(node if nodes is None else nodes[node])
 
 
 def have_same_cells(a: Grid, b: Grid) -> bool:
@@ -134,10 +156,10 @@ def infer_layout(first: Grid, read: Callable[[int], Grid], count: int, options: 
     except MeshError as error:
         raise SeriesError(f"rest state: {error}") from error
     bare = Grid(first.points, first.count, first.types, first.offsets, first.connectivity, {}, {}, {})
-    mask = None if chosen.all() else chosen
+    arrangement = Arrangement(nodes, None if chosen.all() else np.flatnonzero(chosen))
     guessed = displacement is not None and options.displacement is None
     notes = (*cell_notes, *displacement_notes, *rest_notes, *orientation_notes)
-    return SeriesLayout(mesh, nodes, mask, displacement, bare, notes, guessed)
+    return SeriesLayout(mesh, arrangement, displacement, bare, notes, guessed)
 
 
 def _select_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], tuple[str, ...]]:

@@ -18,11 +18,12 @@ _OWN = ("series.pvd", "series.vtkhdf")
 
 
 class Member(NamedTuple):
-    """One instant: its time [s], its file and the step in it."""
+    """One instant: its time [s], its file and the step in it; `others` are files of further parts of the body."""
 
     time: float
     file: Path
     step: int = 0
+    others: tuple[Path, ...] = ()
 
 
 class FrameListing(NamedTuple):

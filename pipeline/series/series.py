@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.formats.grid import Grid
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.run.frame import Frame
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
 from pipeline.series.frame_files import read_grid
@@ -48,7 +48,7 @@ class Series:
     def _describe(self) -> str:
         """Return the numbers of frames and cells and the time span."""
         span = f"t = {self.times[0]:g} to {self.times[-1]:g} s" if len(self) else "no time"
-        return f"{len(self)} frames, {span}, {len(self.mesh.cells)} cells in {self.mesh.dimension}D"
+        return f"{len(self)} frames, {span}, {len(self.mesh.rest_volumes)} cells in {self.mesh.dimension}D"
 
     @cached_property
     def files(self) -> tuple[Path, ...]:
@@ -61,7 +61,7 @@ class Series:
         return tuple(member.time for member in self.members)
 
     @property
-    def mesh(self) -> Mesh:
+    def mesh(self) -> BodyMesh:
         """Return the rest mesh."""
         return self.layout.mesh
 
@@ -100,10 +100,10 @@ class Series:
         return self.layout.compute_positions(self.read_grid(index) if grid is None else grid, where)
 
     def _read_velocity(self, grid: Grid) -> Floats | None:
-        v, d = grid.point_data.get("velocity"), self.mesh.dimension
+        v, d = grid.point_data.get("velocity"), self.mesh.points.shape[1]
         if v is None or v.ndim != 2 or v.shape[1] < d:
             return None
-        v = v if self.layout.nodes is None else v[self.layout.nodes]
+        v = self.layout.arrange(grid, "").select_nodes(v)
         return np.ascontiguousarray(v[:, :d], dtype=np.float64)
 
 

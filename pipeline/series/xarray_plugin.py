@@ -22,6 +22,7 @@ from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.grid import Grid
 from pipeline.formats.pvd import INDEX_SUFFIXES
 from pipeline.formats.readers import SUFFIXES, TEMPORAL_SUFFIXES
+from pipeline.mesh.simplex import require_simplices
 from pipeline.run.measures import AXES, STEPS, make_attributes, pad_to_space
 from pipeline.series.accessor import DeformationAccessor
 from pipeline.series.dataset_layout import ATTRIBUTES, STATIC, describe_field
@@ -89,11 +90,12 @@ class FrameStore:
     def read_field(self, kind: str, name: str, index: int) -> NDArray[Any]:
         """Return a field of a frame at the measured nodes or cells; raises SeriesError if the frame lacks it."""
         grid, layout = self.read_grid(index), self.series.layout
+        arrangement = layout.arrange(grid, str(self.series.files[index]))
         if name == "displacement":
             # our files hold it exactly; a difference of positions is rounded twice
             if "displacement" in grid.point_data and "rest_position" in grid.point_data:
                 displacement = np.asarray(grid.point_data["displacement"], dtype=np.float64)
-                return displacement if layout.nodes is None else displacement[layout.nodes]
+                return arrangement.select_nodes(displacement)
             return pad_to_space(self.series.read_frame(index, grid).x - layout.mesh.points)
         data = getattr(grid, f"{kind}_data")
         if name not in data:
@@ -102,9 +104,9 @@ class FrameStore:
             )
         value: NDArray[Any] = data[name]
         if kind == "point":
-            return value if layout.nodes is None else value[layout.nodes]
+            return arrangement.select_nodes(value)
         if kind == "cell":
-            return value if layout.chosen is None else value[layout.chosen]
+            return arrangement.select_cells(value)
         return value.reshape(-1)[0] if value.size == 1 and name not in STEPS else value.reshape(-1)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -170,7 +172,7 @@ def make_lazy_dataset(series: Series, first: Grid | None = None) -> xarray.Datas
     }
     variables: dict[str, Any] = {
         "rest_position": (("node", "axis"), pad_to_space(mesh.points), describe_field("rest_position", d)),
-        "connectivity": (("cell", "corner"), mesh.cells, describe_field("connectivity", d)),
+        "connectivity": (("cell", "corner"), require_simplices(mesh).cells, describe_field("connectivity", d)),
     }
     for name, kind in kinds.items():
         variables[name] = _make_variable(store, kind, name, d)

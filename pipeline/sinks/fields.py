@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Fields
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.run.frame import Frame, Values
 from pipeline.run.measures import VARIABLES, pad_to_space
 
@@ -33,7 +33,9 @@ def make_frame_fields(frame: Frame, measured: Values, precision: Precision = "fl
     nodal = {"displacement": frame.x - mesh.points}
     if frame.v is not None:
         nodal["velocity"] = frame.v
-    cellular = {name: measured[name] for name, variable in VARIABLES.items() if variable.dims == ("cell",)}
+    cellular = {
+        name: measured[name] for name, variable in VARIABLES.items() if variable.dims == ("cell",) and name in measured
+    }
     cellular = {"volume": cellular["volume_ratio"] * mesh.rest_volumes, **cellular}
     numbers = {"TimeValue": np.array([[frame.time]])}
     if frame.step is not None:
@@ -47,6 +49,6 @@ def make_frame_fields(frame: Frame, measured: Values, precision: Precision = "fl
     )
 
 
-def make_rest_positions(mesh: Mesh, precision: Precision = "float64") -> NDArray[np.floating]:
+def make_rest_positions(mesh: BodyMesh, precision: Precision = "float64") -> NDArray[np.floating]:
     """Return the rest points (n, 3), the one nodal field that never changes."""
     return pad_to_space(mesh.points).astype(precision, copy=False)

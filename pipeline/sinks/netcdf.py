@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.errors import OutputError
 from pipeline.formats.netcdf import NETCDF_LOCK, NetcdfVariable, create_dataset
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.run.frame import Frame, Values
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES, make_attributes
 
@@ -58,7 +58,7 @@ class NetcdfSink:
             self._dataset[name][first:last] = measured[name]
             self._dataset["step"][first:last] = np.arange(first, last) + 1
 
-    def _open(self, mesh: Mesh, measured: Values) -> Any:
+    def _open(self, mesh: BodyMesh, measured: Values) -> Any:
         if self._count:
             import netCDF4
 
@@ -88,9 +88,9 @@ def _limit_caches(dataset: Any) -> None:
             variable.set_var_chunk_cache(size=2 * 8 * prod(variable.chunking()))
 
 
-def _create(path: Path, mesh: Mesh, measured: Values, title: str) -> Any:
+def _create(path: Path, mesh: BodyMesh, measured: Values, title: str) -> Any:
     """Return a new dataset with every dimension, coordinate and variable, and the rest volumes."""
-    d, e = mesh.dimension, len(mesh.cells)
+    d, e = mesh.dimension, len(mesh.cell_array.types)
     steps = [name for name in STEPS if name in measured]
     sizes = {"time": None, "cell": e, "axis": 3, "quantile": len(QUANTILES), **({"step": None} if steps else {})}
     variables = {

@@ -8,7 +8,6 @@ from pathlib import Path
 from pipeline.arrays import Fields
 from pipeline.errors import OutputError
 from pipeline.formats.vtkhdf import VtkhdfFile, lay_out_file
-from pipeline.mesh.simplex import Mesh
 from pipeline.run.frame import Frame, Values
 from pipeline.sinks.fields import FrameFields, Precision, make_frame_fields, make_rest_positions
 
@@ -57,10 +56,10 @@ class VtkhdfSink:
 
     def _lay_out(self, frame: Frame, arrays: Fields, room: int) -> VtkhdfFile:
         """Return a file with room for `room` frames that has those so far or, if there are none, lists this one."""
-        mesh: Mesh = frame.mesh
+        mesh = frame.mesh
         rest = make_rest_positions(mesh, self.precision)
         times = self._times or [frame.time]
-        lay_out_file(self.path, mesh.cells, rest, arrays, times=times, room=room, before=self._file)
+        lay_out_file(self.path, mesh.cell_array, rest, arrays, times=times, room=room, before=self._file)
         if self._file is not None:
             self._file.close()
         return VtkhdfFile(self.path, arrays, self._times)

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.pvd import complete_pvd, encode_pvd_rows
 from pipeline.formats.vtu_write import StaticParts, encode_static_parts, encode_vtu
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.run.frame import Frame, Values
 from pipeline.sinks.fields import Precision, make_frame_fields, make_rest_positions
 
@@ -31,7 +31,7 @@ class VtuSink:
         self.precision = precision
         self._rows = bytearray(encode_pvd_rows((t, name_frame_file(index)) for index, t in enumerate(earlier)))
         self._indexed_at = -np.inf
-        self._mesh: Mesh | None = None
+        self._mesh: BodyMesh | None = None
         self._static: StaticParts
 
     def write(self, frame: Frame, measured: Values) -> None:
@@ -56,7 +56,7 @@ class VtuSink:
         mesh = frame.mesh
         if self._mesh is not mesh:
             self._mesh = mesh
-            self._static = encode_static_parts(mesh.cells, make_rest_positions(mesh, self.precision))
+            self._static = encode_static_parts(mesh.cell_array, make_rest_positions(mesh, self.precision))
         fields = make_frame_fields(frame, measured, self.precision)
         return encode_vtu(fields.points, fields.nodal, fields.cellular, fields.numbers, self._static)
 

@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
-from pipeline.mesh.simplex import Mesh, signed_volumes
+from pipeline.mesh.body_mesh import BodyMesh
+from pipeline.mesh.simplex import require_simplices
 from pipeline.mesh.surface import find_boundary_faces
+from pipeline.run.measures import measure_cells
 from pipeline.series import Series
 from pipeline.system.times import TIME_RTOL
 
@@ -54,8 +56,9 @@ class Track:
         return bool(end - self.times[-1] > max(0.5 * interval, TIME_RTOL * abs(end)))
 
 
-def find_drawn_faces(mesh: Mesh) -> tuple[Ints, Ints]:
+def find_drawn_faces(mesh: BodyMesh) -> tuple[Ints, Ints]:
     """Return the triangles to draw (f, 3) and the cell behind each (f,)."""
+    mesh = require_simplices(mesh)
     if mesh.dimension == 2:
         return mesh.cells, np.arange(len(mesh.cells))
     return find_boundary_faces(mesh)
@@ -74,7 +77,7 @@ def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda:
     sample = []
     for i in range(count):
         x = series.read_positions(i)
-        volumes = signed_volumes(x, mesh.cells)
+        volumes = measure_cells(mesh, x).volumes
         ratio = volumes / mesh.rest_volumes
         points[i, :, : mesh.dimension] = x[nodes]
         face_ratio[i] = ratio[owner]

@@ -7,6 +7,7 @@ from pipeline.errors import SeriesError
 from pipeline.formats import readers
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.cell_types import CELL_TYPES, CORNERS
+from pipeline.formats.grid import CellArray
 from pipeline.formats.netcdf import NetcdfVariable, create_dataset, open_dataset, read_dataset, write_dataset
 from pipeline.formats.pvd import complete_pvd, encode_pvd, encode_pvd_rows, read_index
 from pipeline.formats.vtkhdf import VtkhdfFile, lay_out_file
@@ -15,6 +16,12 @@ from pipeline.formats.vtu_write import encode_static_parts, encode_vtu
 
 REST = np.random.default_rng(1).normal(size=(6, 3))
 CELLS = {2: np.array([[0, 1, 2], [2, 3, 4]]), 3: np.array([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])}
+
+
+def make_cell_array(dimension):
+    cells = CELLS[dimension]
+    types = np.full(len(cells), CELL_TYPES[dimension], dtype=np.uint8)
+    return CellArray(types, np.arange(0, cells.size + 1, dimension + 1), cells.ravel())
 
 
 def make_fields(dimension, time, dtype):
@@ -44,7 +51,7 @@ def assert_holds(grid, dimension, fields):
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_vtu(tmp_path, dimension, dtype):
     fields = make_fields(dimension, 0.3, dtype)
-    content = encode_vtu(*fields, encode_static_parts(CELLS[dimension], REST.astype(dtype)))
+    content = encode_vtu(*fields, encode_static_parts(make_cell_array(dimension), REST.astype(dtype)))
     write_whole(tmp_path / "f.vtu", content)
     assert_holds(read_inline(tmp_path / "f.vtu"), dimension, fields)
     assert_holds(readers.read_grid(tmp_path / "f.vtu"), dimension, fields)
@@ -54,7 +61,7 @@ def test_vtu(tmp_path, dimension, dtype):
 def test_texts_in_a_vtu(tmp_path):
     points, point_data, cell_data, field_data = make_fields(3, 0.0, "float64")
     field_data |= {"message": np.array(["wörds <&>".encode(), b"two"])}
-    static = encode_static_parts(CELLS[3], REST)
+    static = encode_static_parts(make_cell_array(3), REST)
     write_whole(tmp_path / "f.vtu", encode_vtu(points, point_data, cell_data, field_data, static))
     for grid in (read_inline(tmp_path / "f.vtu"), readers.read_grid(tmp_path / "f.vtu")):
         assert grid.field_data["message"].tolist() == ["wörds <&>", "two"]
@@ -85,12 +92,12 @@ def test_vtkhdf(tmp_path, dimension, dtype):
         return {"Points": points, **named}
 
     first = name_arrays(frames[0.0])
-    lay_out_file(path, CELLS[dimension], rest, first, times=[0.0], room=2)
+    lay_out_file(path, make_cell_array(dimension), rest, first, times=[0.0], room=2)
     file = VtkhdfFile(path, first, [])
     for time in (0.0, 0.25):
         file.append(time, name_arrays(frames[time]))
     assert file.room == 2
-    lay_out_file(path, CELLS[dimension], rest, first, times=[0.0, 0.25], room=4, before=file)
+    lay_out_file(path, make_cell_array(dimension), rest, first, times=[0.0, 0.25], room=4, before=file)
     file.close()
     file = VtkhdfFile(path, first, [0.0, 0.25])
     file.append(0.5, name_arrays(frames[0.5]))

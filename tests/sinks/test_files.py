@@ -28,7 +28,7 @@ SCENES = {"3D": {}, "2D": PLANAR}
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
 
 # a fixed model has none of the variables that model = "auto" adds
-FIXED_MODEL = VARIABLES.keys() - {"rung", "indicator"}
+FIXED_MODEL = VARIABLES.keys() - {"rung", "indicator", "volume_ratio_min", "volume_ratio_max"}
 
 
 def sinks(folder):

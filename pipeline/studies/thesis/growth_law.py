@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
+from pipeline.mesh.simplex import require_simplices
 from pipeline.series import Series
 
 
@@ -68,7 +69,7 @@ def read_step_growth(series: Series) -> Growth:
 
 
 def _list_gradients(series: Series) -> list[Floats]:
-    return [deformation_gradient(series.mesh, frame.x) for frame in series]
+    return [deformation_gradient(require_simplices(series.mesh), frame.x) for frame in series]
 
 
 def make_band(growth: Growth, above: float) -> RatioBand | None:

@@ -12,6 +12,7 @@ from pipeline.fem.mass import CONSISTENT_MASS
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports
 from pipeline.mesh.shapes import box
+from pipeline.mesh.simplex import require_simplices
 from pipeline.problem.methods import LAWS, ROTATIONS
 from pipeline.problem.stage_solvers import make_stage_solver
 from pipeline.series import read_series
@@ -89,7 +90,7 @@ def judge_free_end(scenes: Scenes) -> ClaimResult:
     """Return whether the cell that grows most lies in the last layer of cells at y = 0."""
 
     def find_top(linear: RunOutcome) -> float:
-        mesh = read_series(linear.folder).mesh
+        mesh = require_simplices(read_series(linear.folder).mesh)
         return float(mesh.points[mesh.cells[linear.cell], 1].max())
 
     text = "the cell lies at y ≤ {:g} of 0…12 m"

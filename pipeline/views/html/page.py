@@ -127,7 +127,7 @@ def _render_summary(content: PageContent, curves: Sequence[Curves], worst: Seque
     """Return HTML of the outcome in words and numbers."""
     meshes = [side.series.mesh for side in content.sides]
     kind = {2: "triangles", 3: "tetrahedra"}[content.dimension]
-    count = " and ".join(f"{n:,}".replace(",", " ") for n in sorted({len(mesh.cells) for mesh in meshes}))
+    count = " and ".join(f"{n:,}".replace(",", " ") for n in sorted({len(mesh.rest_volumes) for mesh in meshes}))
     frames = max(len(side.series) for side in content.sides)
     start, end = (f([side.series.times[i] for side in content.sides]) for f, i in ((min, 0), (max, -1)))
     subject = f"{len(meshes)} series" if len(meshes) > 1 else "One series"

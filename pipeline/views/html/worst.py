@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.arrays import Floats
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.body_mesh import BodyMesh
 
 if TYPE_CHECKING:
     import xarray
@@ -24,13 +24,13 @@ class WorstCell:
     place: tuple[float, ...]
 
 
-def find_worst_cells(statistics: "xarray.Dataset", mesh: Mesh, count: int) -> list[WorstCell]:
+def find_worst_cells(statistics: "xarray.Dataset", mesh: BodyMesh, count: int) -> list[WorstCell]:
     """Return the cells with the largest |V / V0 - 1| over all frames, worst first; NaN is ignored."""
     ratio, frame = _find_extremes(statistics["volume_ratio"])
     change = np.abs(ratio - 1)
     # ties are broken by index: symmetric bodies have equal cells, and the page must not depend on the sort
     order = np.lexsort((np.arange(len(change)), -change))[:count]
-    middles = mesh.points[mesh.cells[order]].mean(axis=1)
+    middles = mesh.centers[order]
     times = statistics["time"].values[frame[order]]
     return [
         WorstCell(int(cell), float(ratio[cell]), float(time), tuple(middle))
