@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pipeline.arrays import Floats, Ints
-from pipeline.errors import SeriesError
+from pipeline.arrays import Floats
+from pipeline.errors import MeshError, SeriesError
 from pipeline.formats.cell_types import CELL_TYPES
+from pipeline.mesh.locate import locate_points
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.run.measures import make_attributes, measure_cells
 from pipeline.series.dataset_layout import read_mesh
@@ -20,8 +21,6 @@ from pipeline.series.dataset_writer import write_pvd_series
 
 if TYPE_CHECKING:
     import xarray
-
-_ON_A_FACE = 1e-9  # of the body's size, and of barycentric coordinates: rounding can put surface points outside
 
 
 class Worst(NamedTuple):
@@ -77,7 +76,10 @@ class DeformationAccessor:
         import xarray
 
         values = self._dataset[field] if isinstance(field, str) else field
-        cells, weights = locate_points(self.mesh(), np.atleast_2d(np.asarray(points, dtype=np.float64)))
+        try:
+            cells, weights = locate_points(self.mesh(), np.atleast_2d(np.asarray(points, dtype=np.float64)))
+        except MeshError as error:
+            raise SeriesError(str(error)) from error
         if "node" in values.dims:
             nodes, places = np.unique(self._dataset["connectivity"].values[cells], return_inverse=True)
             nodal = values.isel(node=nodes)
@@ -123,26 +125,6 @@ class DeformationAccessor:
         d = self._dataset.sizes["corner"] - 1
         time = {"time": self._dataset["time"]}
         return xarray.DataArray(np.stack(rows), time, ("time", "cell"), name, make_attributes(name, d))
-
-
-def locate_points(mesh: Mesh, points: Floats) -> tuple[Ints, Floats]:
-    """Return the cell (p,) around each rest point (p, d), and its barycentric coordinates (p, d + 1), NaN outside."""
-    if points.ndim != 2 or points.shape[1] < mesh.dimension:
-        raise SeriesError(f"points to probe are (p, {mesh.dimension}), not {points.shape}")
-    corners, slack = mesh.points[mesh.cells], _ON_A_FACE * mesh.size
-    low, high = corners.min(axis=1) - slack, corners.max(axis=1) + slack
-    cells = np.zeros(len(points), dtype=np.int64)
-    weights = np.full((len(points), mesh.dimension + 1), np.nan)
-    for i, point in enumerate(points[:, : mesh.dimension]):
-        near = np.flatnonzero(((low <= point) & (point <= high)).all(axis=1))
-        if not near.size:
-            continue
-        shares = np.einsum("cad,cd->ca", mesh.shape_gradients[near], point - corners[near, 0])
-        shares[:, 0] += 1
-        best = int(shares.min(axis=1).argmax())
-        if shares[best].min() >= -_ON_A_FACE:
-            cells[i], weights[i] = near[best], shares[best]
-    return cells, weights
 
 
 def make_pyvista_grid(frame: "xarray.Dataset") -> Any:
