@@ -1,16 +1,17 @@
 """Corrects a mesh from a file, with a note each time, and refuses defects whose meaning only its author knows.
 
 Corrected, because the shape stays the same: cells listed twice (gmsh writes a cell once for each of its physical
-groups), nodes without cells (centers of arcs; nodes of dropped boundary cells), and meshes whose cells are all
-mirrored, a numbering convention. Refused: coincident nodes, where the body may be meant to hold together or to come
-apart; and mirrored cells among others, because they overlap their neighbors.
+groups), nodes without cells (centers of arcs; nodes of dropped boundary cells), and cells that only their numbering
+mirrors (orientation.py). Refused: coincident nodes, where the body may be meant to hold together or to come apart; and
+inverted cells, because they overlap their neighbors.
 """
 
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
-from pipeline.mesh.simplex import CELL_NAMES, signed_volumes
+from pipeline.mesh.orientation import find_mirrored_cells, swap_corners
+from pipeline.mesh.simplex import CELL_NAMES
 
 
 def check_connectivity(points: Floats, cells: Ints) -> None:
@@ -61,12 +62,17 @@ def check_points(points: Floats) -> None:
 
 
 def orient_cells(points: Floats, cells: Ints) -> tuple[Ints, list[str]]:
-    """Return the cells, reoriented if there are at least two and all are mirrored, and a note in that case.
-
-    A single mirrored cell may just as well be inverted, since no neighbor can tell the two apart: it is left alone.
-    """
-    if len(cells) < 2 or not (signed_volumes(points, cells) < 0).all():
+    """Return the cells, those that only their numbering mirrors reoriented, and a note if there were any."""
+    mirrored = find_mirrored_cells(points, cells)
+    count = int(mirrored.sum())
+    if not count:
         return cells, []
     name = CELL_NAMES[points.shape[1]]
-    swapped = np.concatenate([cells[:, :-2], cells[:, :-3:-1]], axis=1)
-    return swapped, [f"all {len(cells)} {name} cells were mirrored and have been reoriented"]
+    if count == len(cells):
+        note = f"all {count} {name} cells were mirrored and have been reoriented"
+    else:
+        note = (
+            f"{count} of {len(cells)} {name} cells were mirrored by their numbering and have been reoriented: no cell "
+            "lies on the same side of a face as its neighbor"
+        )
+    return swap_corners(cells, mirrored), [note]
