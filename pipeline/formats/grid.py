@@ -61,6 +61,7 @@ class Grid:
     `stored_points` are the points, or LazyArrays with the entry Points; `count` is the number of points. A grid that
     was joined from several parts (files, pieces, blocks) has the number of its points in each of them in `parts`, and
     the name of each in `part_names`: points of different parts that coincide at rest are one node of the body.
+    `notes` tell what the reader decided or left out.
     """
 
     stored_points: Floats | LazyArrays
@@ -74,6 +75,7 @@ class Grid:
     faces: PolyhedronFaces | None = None
     parts: tuple[int, ...] = ()
     part_names: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def cells(self) -> CellArray:

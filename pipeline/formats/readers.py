@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pipeline.errors import SeriesError, shorten
-from pipeline.formats.grid import Grid
+from pipeline.formats.grid import Grid, PolyhedronFaces
 from pipeline.formats.vtk_readers import read_legacy_times, read_vtk, read_vtk_times
 from pipeline.formats.xdmf import read_xdmf, read_xdmf_times
 
@@ -28,6 +28,7 @@ READERS: Mapping[str, FrameReader] = {
     ".vtp": FrameReader(read_vtk, read_vtk_times),
     ".vtkhdf": FrameReader(read_vtk, read_vtk_times, has_steps=True),
     ".xdmf": FrameReader(read_xdmf, read_xdmf_times, has_steps=True),
+    ".xmf": FrameReader(read_xdmf, read_xdmf_times, has_steps=True),
 }
 SUFFIXES = tuple(suffix for suffix, row in READERS.items() if not row.has_steps)
 TEMPORAL_SUFFIXES = tuple(suffix for suffix, row in READERS.items() if row.has_steps)
@@ -41,10 +42,18 @@ def read_grid(file: Path, step: int = 0) -> Grid:
 
 
 def read_plain_grid(file: Path, step: int) -> tuple[Any, ...]:
-    """Return the fields of read_grid's Grid as a tuple, which a child process can send."""
+    """Return the fields of read_grid's Grid as plain arrays, numbers and texts, which a child process can send."""
     grid = read_grid(file, step)
     fields = (grid.point_data, grid.cell_data, grid.field_data)
-    return grid.points, grid.count, grid.types, grid.offsets, grid.connectivity, *fields
+    cells = (grid.types, grid.offsets, grid.connectivity)
+    faces = None if grid.faces is None else tuple(grid.faces)
+    return grid.points, grid.count, *cells, *fields, faces, grid.parts, grid.part_names, grid.notes
+
+
+def make_plain_grid(fields: tuple[Any, ...]) -> Grid:
+    """Return the Grid whose fields read_plain_grid returned."""
+    *first, faces, parts, names, notes = fields
+    return Grid(*first, None if faces is None else PolyhedronFaces(*faces), parts, names, notes)
 
 
 def read_times(file: Path) -> list[float] | None:

@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.arrays import Ints
 from pipeline.errors import SeriesError, shorten
-from pipeline.formats.cell_types import CELL_TYPES, CORNERS
+from pipeline.formats.cell_types import find_cell_fault
 from pipeline.formats.grid import Grid
 
 
@@ -113,7 +111,7 @@ def make_grid(data: Any, file: Path) -> Grid:
     connectivity = np.asarray(grid.cell_connectivity, dtype=np.int64)
     offsets = vtk_to_numpy(grid.GetCells().GetOffsetsArray()).astype(np.int64)
     types = np.asarray(grid.celltypes)
-    if (fault := _find_cell_fault(types, offsets, len(connectivity))) is not None:
+    if (fault := find_cell_fault(types, offsets, len(connectivity))) is not None:
         raise SeriesError(f"{file}: {fault}")
     if connectivity.min() < 0 or connectivity.max() >= len(points):
         raise SeriesError(f"{file}: a cell refers to point {connectivity.max()} of {len(points)} (counted from 0)")
@@ -122,20 +120,3 @@ def make_grid(data: Any, file: Path) -> Grid:
         for data in (grid.point_data, grid.cell_data, grid.field_data)
     )
     return Grid(points, len(points), types, offsets, connectivity, nodal, cellular, numbers)
-
-
-def _find_cell_fault(types: NDArray[np.uint8], offsets: Ints, length: int) -> str | None:
-    """Return a fault in the cell types, or in the offsets into a connectivity of that length; None if there is none."""
-    import pyvista
-
-    unknown = set(np.unique(types).tolist()) - {int(kind) for kind in pyvista.CellType}
-    if unknown:
-        return f"a cell has the unknown type {min(unknown)}"
-    sizes = np.diff(offsets)
-    if len(sizes) != len(types) or offsets[0] != 0 or offsets[-1] != length or (sizes < 0).any():
-        return f"the offsets of its {len(types)} cells do not fit their {length} corners"
-    for cell_type in CELL_TYPES.values():
-        bad = np.flatnonzero((types == cell_type) & (sizes != CORNERS[cell_type]))
-        if bad.size:
-            return f"cell {bad[0]} has {sizes[bad[0]]} corners, not {CORNERS[cell_type]}"
-    return None

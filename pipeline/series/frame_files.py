@@ -21,7 +21,8 @@ def read_grid(file: Path, step: int = 0, *, ours: bool = False) -> Grid:
     if ours:
         return readers.read_grid(file, step)
     _check_file(file)
-    return Grid(*SHARED_READER.read("pipeline.formats.readers:read_plain_grid", file, step, error=SeriesError))
+    fields = SHARED_READER.read("pipeline.formats.readers:read_plain_grid", file, step, error=SeriesError)
+    return readers.make_plain_grid(fields)
 
 
 def read_times(file: Path) -> list[float] | None:

@@ -138,7 +138,7 @@ def make_series(listing: FrameListing, options: Options = Options()) -> tuple[Se
         return _read_member(members[index], ours=ours)
 
     layout = infer_layout(first, read, len(members), options, str(members[0].file))
-    return Series(listing.name, listing.folder, members, layout, listing.notes, ours), first
+    return Series(listing.name, listing.folder, members, layout, (*listing.notes, *first.notes), ours), first
 
 
 def _read_member(member: Member, *, ours: bool) -> Grid:
