@@ -60,7 +60,7 @@ def find_cell_fault(types: NDArray[np.uint8], offsets: NDArray[Any], length: int
     """Return a fault in the cell types, or in the offsets into a connectivity of that length; None if there is none."""
     unknown = set(np.unique(types).tolist()) - CORNERS.keys() - LEAST_NODES.keys()
     if unknown:
-        return f"a cell has the type {min(unknown)}, which is not read"
+        return f"a cell has the unknown type {min(unknown)}"
     sizes = np.diff(offsets)
     if len(sizes) != len(types) or offsets[0] != 0 or offsets[-1] != length or (sizes < 0).any():
         return f"the offsets of its {len(types)} cells do not fit their {length} nodes"

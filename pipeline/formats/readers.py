@@ -52,8 +52,9 @@ def read_plain_grid(file: Path, step: int) -> tuple[Any, ...]:
 
 def make_plain_grid(fields: tuple[Any, ...]) -> Grid:
     """Return the Grid whose fields read_plain_grid returned."""
-    *first, faces, parts, names, notes = fields
-    return Grid(*first, None if faces is None else PolyhedronFaces(*faces), parts, names, notes)
+    points, count, types, offsets, connectivity, nodal, cellular, whole, faces, *parts = fields
+    own_faces = None if faces is None else PolyhedronFaces(*faces)
+    return Grid(points, count, types, offsets, connectivity, nodal, cellular, whole, own_faces, *parts)
 
 
 def read_times(file: Path) -> list[float] | None:

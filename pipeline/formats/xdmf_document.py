@@ -160,7 +160,9 @@ def _walk(root: Element, path: str) -> list[Element]:
         steps.append(match.groups())
         end = match.end()
     if end != len(path) or not steps:
-        raise ValueError(f"its path {shorten(path, 200)} is not understood (steps /, //, names, *, [n], [@name='value'])")
+        raise ValueError(
+            f"its path {shorten(path, 200)} is not understood (it may have /, //, *, [n], [@name='value'])"
+        )
     document = Element("document")
     document.append(root)
     elements = [document]

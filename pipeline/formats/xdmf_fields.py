@@ -98,7 +98,8 @@ def _read_function(
         values = np.empty((count, components.shape[1]), dtype=components.dtype)
         values[order] = components[:, :, 0]
         return kind, arrange_values(values, count, name)
-    return kind, arrange_values(_scatter(components, cells.connectivity.reshape(count, width)[order], points), points, name)
+    values = _scatter(components, cells.connectivity.reshape(count, width)[order], points)
+    return kind, arrange_values(values, points, name)
 
 
 def _scatter(components: NDArray[Any], nodes: Ints, points: int) -> NDArray[Any]:

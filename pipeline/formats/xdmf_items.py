@@ -43,7 +43,7 @@ def _read(document: XdmfDocument, item: Element, depth: int) -> NDArray[Any]:
     if kind == "uniform":
         return _reshape(_read_source(document, item, None), item)
     if kind not in ("hyperslab", "coordinates"):
-        raise ValueError(f"a DataItem has the type {shorten(name)}: write its values (Uniform), or HyperSlab, Coordinates")
+        raise ValueError(f"a DataItem has the type {shorten(name)}; it may be one of Uniform, HyperSlab, Coordinates")
     inner = document.get_children(item, "DataItem")
     if len(inner) != 2:
         raise ValueError(f"a DataItem of the type {name} has {len(inner)} DataItems in it, not 2")
@@ -110,7 +110,7 @@ def _reshape(values: NDArray[Any], item: Element) -> NDArray[Any]:
 
 
 def _read_source(document: XdmfDocument, item: Element, selection: Selection) -> NDArray[Any]:
-    """Return the values of a Uniform item, or part of them; their shape is that of the Dimensions or the HDF5 dataset."""
+    """Return the values of a Uniform item, or part of them, in the shape of the Dimensions or the HDF5 dataset."""
     source = item.get("Format", "XML").lower()
     readers: dict[str, Callable[..., NDArray[Any]]] = {"xml": _read_text, "hdf": _read_hdf, "binary": _read_binary}
     if source not in readers:
@@ -165,7 +165,7 @@ def _read_binary(document: XdmfDocument, item: Element) -> NDArray[Any]:
     start, size = int(item.get("Seek", "0")), math.prod(shape) * kind.itemsize
     compression = item.get("Compression", "Raw").lower()
     if start < 0 or compression not in ("raw", "zlib"):
-        raise ValueError(f"a DataItem has Seek {start} and the compression {shorten(compression)}; it may be Raw or Zlib")
+        raise ValueError(f"a DataItem has Seek {start} and the compression {shorten(compression)}, not Raw or Zlib")
     with file.open("rb") as stream:
         stream.seek(start)
         if compression == "raw":
@@ -182,6 +182,8 @@ def _read_binary(document: XdmfDocument, item: Element) -> NDArray[Any]:
 
 def _read_hdf(document: XdmfDocument, item: Element, selection: Selection) -> NDArray[Any]:
     """Return a dataset, or part of it: file.h5:/path, or file.h5:/path|starts:strides:counts:shape of the dataset."""
+    import h5py  # noqa: F401  (its absence matters more than that of the file)
+
     reference, _, region = document.get_text(item).strip().partition("|")
     match = _HDF_NAME.match(reference.strip())
     if match is None:

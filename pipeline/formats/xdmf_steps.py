@@ -173,9 +173,7 @@ def _make_piece(document: XdmfDocument, grid: Element) -> XdmfPiece:
     )
 
 
-def _line_up(
-    document: XdmfDocument, grid: Element, children: list[list[XdmfStep]], notes: list[str]
-) -> list[XdmfStep]:
+def _line_up(document: XdmfDocument, grid: Element, children: list[list[XdmfStep]], notes: list[str]) -> list[XdmfStep]:
     """Return the steps of a temporal collection: with the times of its grids, or with those in its own Time."""
     name = shorten(grid.get("Name", ""))
     steps = [step for child in children for step in child]
@@ -216,7 +214,7 @@ def _read_time(document: XdmfDocument, grid: Element) -> float | None:
     if (text := element.get("Value")) is not None:
         return float(text)
     item = document.get_child(element, "DataItem")
-    values = () if item is None else read_item(document, item).ravel()
+    values = [] if item is None else read_item(document, item).ravel().tolist()
     if len(values) != 1:
         raise ValueError(f"the Time of its grid {shorten(grid.get('Name', ''))} has {len(values)} values, not one")
     return float(values[0])
@@ -230,7 +228,9 @@ def _list_times(document: XdmfDocument, grid: Element, count: int, notes: list[s
     kind = element.get("TimeType", element.get("Type", "Single")).lower()
     item = document.get_child(element, "DataItem")
     text = element.get("Value", "")
-    values = [float(v) for v in read_item(document, item).ravel()] if item is not None else [*parse_numbers(text, float)]
+    values = (
+        [float(v) for v in read_item(document, item).ravel()] if item is not None else [*parse_numbers(text, float)]
+    )
     if kind == "hyperslab":
         if len(values) != 3:
             raise ValueError(f"a Time of the type HyperSlab has {len(values)} values, not start, stride and count")
@@ -242,7 +242,7 @@ def _list_times(document: XdmfDocument, grid: Element, count: int, notes: list[s
         if len(values) != 2:
             raise ValueError(f"a Time of the type Range has {len(values)} values, not first and last")
         notes.append(f"its times are a range of {count} equal steps from {values[0]:g} to {values[1]:g} s")
-        return np.linspace(*values, count).tolist()
+        return [float(time) for time in np.linspace(values[0], values[1], count)]
     if kind == "list" or (kind == "single" and len(values) == count):
         return values
     raise ValueError(f"the Time of a collection has the type {shorten(kind)}; it may be one of List, HyperSlab, Range")

@@ -318,8 +318,8 @@ def test_meshes_of_meshio_arrive_unchanged(tmp_path):
 @pytest.mark.parametrize(
     ("name", "old", "new", "words"),
     [
-        ("offsets", "4 8 12", "4 9 12", r"cell 1 has 5 corners, not 4"),
-        ("offsets", "4 8 12", "4 8 999", r"the offsets of its 48 cells do not fit their 192 corners|cannot be read"),
+        ("offsets", "4 8 12", "4 9 12", r"cell 1 has 5 nodes, not 4"),
+        ("offsets", "4 8 12", "4 8 999", r"the offsets of its 48 cells do not fit their 192 nodes|cannot be read"),
         ("types", "10 10 10", "10 99 10", r"unknown type|cannot be read"),
         ("connectivity", "0 ", "999999 ", r"refers to point 1?999999 of 27|cannot be read|the reader died"),
         ("connectivity", "0 ", "-5 ", r"refers to point|cannot be read|the reader died"),
