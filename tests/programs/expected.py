@@ -28,7 +28,7 @@ def move_bar(X, t):
 
 
 def move_plate(X, t):
-    """Return the positions (n, 2) at time t of points X (n, 2): stretched along x, then turned by 60 degrees at t = 1."""
+    """Return the positions (n, 2) at time t of points X (n, 2): stretched, then turned by 60 degrees at t = 1."""
     X = np.asarray(X, dtype=float)
     x = np.stack([(1 + STRETCH * t) * X[:, 0] + 0.1 * t * X[:, 0] * X[:, 1], X[:, 1]], axis=1)
     c, s = np.cos(TWIST * t), np.sin(TWIST * t)

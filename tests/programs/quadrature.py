@@ -1,6 +1,6 @@
-"""Integrals over cells, for programs that have no convenient integral of their own: plain numpy, nothing of the package.
+"""Integrals over cells, for programs that have no convenient integral of their own: numpy, nothing of the package.
 
-The shape functions follow from the nodes on the reference cell and the monomials that they span: N = M(xi) M(nodes)^-1.
+Shape functions follow from the nodes on the reference cell and the monomials that they span: N = M(xi) M(nodes)^-1.
 """
 
 from itertools import product

@@ -1,7 +1,7 @@
 """Results of other programs, unchanged: the program's own numbers. Long series: the memory of a few frames.
 
-Every entry of an expected.json in tests/programs is one series that a program wrote, with values from that program's own
-arrays. Cells are matched by the means of their corners at rest.
+Every entry of an expected.json in tests/programs is one series that a program wrote, with values from that program's
+own arrays. Cells are matched by the means of their corners at rest.
 """
 
 import json
@@ -27,8 +27,15 @@ from tests.bodies import skip_figures
 from tests.series.test_series import CELLS, POINTS, TIMES, make_grid, move_points, write_pvd, write_series
 
 PROGRAMS = Path(__file__).parents[1] / "programs"
-# Corners of VTK's cells by type: triangles, quadrilaterals, tetrahedra, hexahedra, wedges; linear, quadratic, Lagrange.
-CORNERS = {5: 3, 22: 3, 34: 3, 69: 3, 9: 4, 23: 4, 28: 4, 70: 4, 10: 4, 24: 4, 71: 4} | dict.fromkeys((11, 12, 25, 29, 72), 8) | dict.fromkeys((13, 26, 32, 73), 6) | {14: 5, 27: 5, 37: 5, 74: 5}  # fmt: skip
+# Corners of cells by their number in VTK: triangles, quadrilaterals, tetrahedra, pyramids, wedges, hexahedra.
+KINDS = {
+    3: (5, 22, 34, 69),
+    4: (9, 23, 28, 70, 10, 24, 71),
+    5: (14, 27, 37, 74),
+    6: (13, 26, 32, 73),
+    8: (12, 25, 29, 72),
+}
+CORNERS = {kind: n for n, kinds in KINDS.items() for kind in kinds}
 # Entries that are not read rightly yet, with the reason.
 FAULTS: dict[str, str] = dict.fromkeys(
     [

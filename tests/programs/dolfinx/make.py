@@ -75,7 +75,8 @@ def run(name, cell, degree, vtk, xdmf):
     owned = range(domain.topology.index_map(3).size_local)
     centers = np.array([x[domain.geometry.dofmap.links(k)].mean(axis=0) for k in owned])
     centers = np.concatenate(domain.comm.allgather(centers))
-    return make_expectation(f"dolfinx {dolfinx.__version__}", f"{name}.{'pvd' if vtk else 'xdmf'}", TIMES, centers=centers,
+    series = f"{name}.{'pvd' if vtk else 'xdmf'}"
+    return make_expectation(f"dolfinx {dolfinx.__version__}", series, TIMES, centers=centers,
                             rest_volumes=rest, volumes=volumes, gradients=means)  # fmt: skip
 
 

@@ -2,8 +2,8 @@
 
     pip install KratosMultiphysics KratosStructuralMechanicsApplication;  python make.py
 
-VtkOutput writes a folder of numbered files. Its default `write_deformed_configuration = false` keeps the points at rest;
-with true the points move, and the field DISPLACEMENT is there too.
+VtkOutput writes a folder of numbered files. With `write_deformed_configuration = false`, the default, the
+points rest; with true the points move, and the field DISPLACEMENT is there too.
 """
 
 import os
@@ -82,7 +82,7 @@ def main():
     Kratos.Logger.GetDefaultOutput().SetSeverity(Kratos.Logger.Severity.WARNING)
     os.chdir(HERE)
     points, shifts, cells = make_cells()
-    model, part, strategy = make_solver(points, shifts, cells)
+    _model, part, strategy = make_solver(points, shifts, cells)
     outputs = []
     for name, deformed in (("rest_points", False), ("moving_points", True)):
         shutil.rmtree(name, ignore_errors=True)

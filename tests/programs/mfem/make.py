@@ -83,8 +83,17 @@ def main():
             means.append(mean)
         centers = [np.mean([mesh.GetVertexArray(v) for v in mesh.GetElementVertices(k)], axis=0)
                    for k in range(mesh.GetNE())]  # fmt: skip
-        entries.append(make_expectation(f"MFEM, PyMFEM {version('mfem')}", f"{name}/{name}.pvd", TIMES,
-                                        centers=centers, rest_volumes=rest, volumes=volumes, gradients=means))  # fmt: skip
+        entries.append(
+            make_expectation(
+                f"MFEM, PyMFEM {version('mfem')}",
+                f"{name}/{name}.pvd",
+                TIMES,
+                centers=centers,
+                rest_volumes=rest,
+                volumes=volumes,
+                gradients=means,
+            )
+        )
     write_expected(HERE, *entries)
 
 

@@ -1,4 +1,4 @@
-"""Files of scikit-fem: a neo-Hookean bar, stretched and twisted at its end. Hexahedra in .vtu, 10-node tetrahedra in .xdmf.
+"""Files of scikit-fem: a neo-Hookean bar, stretched and twisted. Hexahedra in .vtu, 10-node tetrahedra in .xdmf.
 
 pip install scikit-fem h5py;  python make.py
 """
