@@ -51,7 +51,9 @@ def write_deck(path, kind, points, cells, binary):
     lines.append(f"*ELEMENT, TYPE={kind}, ELSET=BAR")
     for k, cell in enumerate(cells):
         row = [str(n) for n in (k + 1, *(cell + 1))]
-        lines += [", ".join(row[:11]) + ("," if len(row) > 11 else "")] + ([", ".join(row[11:])] if len(row) > 11 else [])
+        lines += [", ".join(row[:11]) + ("," if len(row) > 11 else "")] + (
+            [", ".join(row[11:])] if len(row) > 11 else []
+        )
     lines += ["*MATERIAL, NAME=SOFT", "*ELASTIC", "10.0, 0.3", "*SOLID SECTION, ELSET=BAR, MATERIAL=SOFT"]
     for t in TIMES[1:]:
         u = move_bar(points, t) - points

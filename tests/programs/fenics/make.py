@@ -1,6 +1,6 @@
 """Files of legacy FEniCS 2019.2 (Debian's python3-dolfin): .pvd, .xdmf by write and by write_checkpoint.
 
-    apt install python3-dolfin;  /usr/bin/python3 make.py
+apt install python3-dolfin;  /usr/bin/python3 make.py
 """
 
 import os

@@ -74,8 +74,9 @@ def main():
         HERE,
         run("hexahedra", hexahedra, "FEM_Q2_INCOMPLETE(3)", "FEM_QK(3,0)", "IM_GAUSS_PARALLELEPIPED(3,8)"),
         run("tetrahedra", tetrahedra, "FEM_PK(3,2)", "FEM_PK(3,0)", "IM_TETRAHEDRON(8)"),
-        run("wedges", wedges, "FEM_PRISM_INCOMPLETE_P2", "FEM_PRISM_PK(3,0)",
-            "IM_PRODUCT(IM_TRIANGLE(8),IM_GAUSS1D(8))"),
+        run(
+            "wedges", wedges, "FEM_PRISM_INCOMPLETE_P2", "FEM_PRISM_PK(3,0)", "IM_PRODUCT(IM_TRIANGLE(8),IM_GAUSS1D(8))"
+        ),
     )
 
 
