@@ -31,9 +31,14 @@ def find_refusal(file: Path) -> str | None:
         return _find_excess_counts(file)
     if suffix in (".pvtu", ".xdmf", ".xmf"):
         for name in _read_names(file, _SOURCE if suffix == ".pvtu" else _HDF):
-            if reason := find_outside_name(name):
+            if not _is_inside(file, name) and (reason := find_outside_name(name)):
                 return reason
     return None
+
+
+def _is_inside(file: Path, name: str) -> bool:
+    """Return whether a name is an absolute path in the folder of the file that has it."""
+    return Path(name).is_absolute() and Path(name).resolve().is_relative_to(file.parent.resolve())
 
 
 def find_outside_name(name: str) -> str | None:

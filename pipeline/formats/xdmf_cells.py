@@ -173,8 +173,9 @@ def decode_mixed(stream: Ints, base: int = 0) -> CellArray:
         elif shape.nodes:
             width = shape.nodes
             run = _count_run(stream, place, code, width + 1)
-            nodes = stream[place : place + run * (width + 1)].reshape(run, width + 1)[:, 1:].ravel() - base
+            rows = stream[place : place + run * (width + 1)]
             place += run * (width + 1)
+            nodes = rows.reshape(run, width + 1)[:, 1:].ravel() - base if place <= len(stream) else rows[:0]
         else:
             run, width = 1, int(stream[place + 1]) if place + 1 < len(stream) else -1
             nodes = stream[place + 2 : place + 2 + max(width, 0)] - base

@@ -31,7 +31,7 @@ def read_fields(document: XdmfDocument, attributes: tuple[Element, ...], points:
     for number, attribute in enumerate(attributes):
         name = attribute.get("Name", f"attribute {number}")
         center = attribute.get("Center", "Node").lower()
-        if "ElementFamily" in attribute.attrib or attribute.get("ItemType") == "FiniteElementFunction":
+        if attribute.get("ElementFamily") or attribute.get("ItemType") == "FiniteElementFunction":
             center, values = _read_function(document, attribute, points, cells, name)
             _add(fields.nodal if center == "node" else fields.cellular, name, values)
             continue
