@@ -33,6 +33,16 @@ class LazyArrays(Mapping[str, NDArray[Any]]):
     def __repr__(self) -> str:
         return f"LazyArrays({', '.join(self._encoded)})"
 
+    def list_encoded(self) -> Mapping[str, Any]:
+        """Return the arrays as encoded, by name; each knows the `dtype` and `shape` that it has once decoded."""
+        return self._encoded
+
+
+def describe_arrays(fields: Fields) -> dict[str, tuple[np.dtype[Any], tuple[int, ...]]]:
+    """Return the type and shape of each array, without decoding it."""
+    arrays = fields.list_encoded() if isinstance(fields, LazyArrays) else fields
+    return {name: (np.dtype(array.dtype), tuple(array.shape)) for name, array in arrays.items()}
+
 
 class PolyhedronFaces(NamedTuple):
     """The faces of polyhedra: face f has the points connectivity[offsets[f]:offsets[f + 1]].

@@ -109,6 +109,7 @@ def measure_cells(mesh: BodyMesh, x: Floats) -> CellMeasures:
     volumes, angles = np.empty((2, len(mesh.cells)))
     x = np.ascontiguousarray(x, dtype=np.float64)
     measure_kernels.measure_cells(x, mesh.cells, mesh.shape_gradients, volumes, angles)
+    angles[np.isnan(volumes)] = np.nan  # a node is missing; the rotation of such a cell is not zero but unknown
     ratio = volumes / mesh.rest_volumes
     return CellMeasures(volumes, ratio, ratio, angles)
 

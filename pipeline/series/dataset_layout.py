@@ -1,44 +1,32 @@
-"""The variables that make a dataset a series of a body: names, units, and the rest mesh that they describe."""
+"""Names, units and attributes of the fields in a dataset of a moving body."""
 
-from typing import TYPE_CHECKING
+from typing import Any
 
-from pipeline.errors import MeshError, SeriesError
-from pipeline.mesh.simplex import Mesh
 from pipeline.run.measures import STEPS, VARIABLES, make_attributes
 
-if TYPE_CHECKING:
-    import xarray
-
 ATTRIBUTES = "dataset_attributes"  # field data of the first frame: the dataset's and its variables' attributes as JSON
-STATIC = ("rest_position", "connectivity")
-_REQUIRED = (*STATIC, "displacement")
-# unit and long_name of fields that are not in VARIABLES
+LOCATIONS = {2: "face", 3: "volume"}  # UGRID's word for the cells of each dimension
+# dimension, unit and long_name of fields that are not in VARIABLES
 _FIELDS = {
-    "rest_position": ("m", "position at rest"),
-    "displacement": ("m", "position minus rest position"),
-    "velocity": ("m s-1", "velocity"),
-    "volume": ("m3", "signed volume"),
-    "connectivity": ("1", "nodes of the cell, counted from 0"),
+    "displacement": ("node", "m", "position minus rest position"),
+    "velocity": ("node", "m s-1", "velocity"),
+    "volume": ("cell", "m3", "signed volume"),
+    "inverted": ("cell", "1", "det F is zero or less somewhere in the cell"),
 }
 
 
-def describe_field(name: str, dimension: int) -> dict[str, str]:
-    """Return the CF attributes of a field; a foreign field has no units because they are unknown."""
-    if name in VARIABLES or name in STEPS:
+def describe_field(name: str, dims: tuple[str, ...], dimension: int) -> dict[str, Any]:
+    """Return the CF attributes of a field, and the place on the mesh that it belongs to.
+
+    `dims` are its dimensions after time. A field of another program has no units because they are unknown.
+    """
+    place = {"node": "node", "cell": LOCATIONS[dimension]}.get(dims[0] if dims else "")
+    where = {"mesh": "mesh", "location": place} if place else {}
+    if name in STEPS and dims == ("step_of_frame",):
         return make_attributes(name, dimension)
-    if name in _FIELDS:
-        unit, text = _FIELDS[name]
-        return {"units": "m2" if (unit, dimension) == ("m3", 2) else unit, "long_name": text}
-    return {"long_name": name}
-
-
-def read_mesh(dataset: "xarray.Dataset") -> Mesh:
-    """Return the rest mesh of a dataset; raises SeriesError if it has none."""
-    missing = [name for name in _REQUIRED if name not in dataset]
-    if missing:
-        raise SeriesError(f"the dataset is not a series of a body: it has no {', '.join(missing)}")
-    cells = dataset["connectivity"].values
-    try:
-        return Mesh(dataset["rest_position"].values[:, : cells.shape[1] - 1], cells, name="rest state")
-    except MeshError as error:
-        raise SeriesError(str(error)) from error
+    if name in VARIABLES and dims == VARIABLES[name].dims:
+        return make_attributes(name, dimension) | where
+    if name in _FIELDS and _FIELDS[name][0] in dims:
+        _, unit, text = _FIELDS[name]
+        return {"units": "m2" if (unit, dimension) == ("m3", 2) else unit, "long_name": text, **where}
+    return {"long_name": name, **where}

@@ -13,7 +13,8 @@ from pipeline.errors import SeriesError
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.pvd import encode_pvd
 from pipeline.formats.vtu_write import encode_static_parts, encode_vtu
-from pipeline.series.dataset_layout import ATTRIBUTES, STATIC, read_mesh
+from pipeline.series.dataset_layout import ATTRIBUTES
+from pipeline.series.mesh_variables import MESH_VARIABLES, read_mesh
 from pipeline.sinks.fields import FrameFields
 
 if TYPE_CHECKING:
@@ -31,12 +32,14 @@ def write_pvd_series(dataset: "xarray.Dataset", path: str | os.PathLike[str]) ->
     frames cannot hold it; OutputError if a file cannot be written.
     """
     path, mesh = Path(path), read_mesh(dataset)
-    strange = [str(name) for name, field in dataset.data_vars.items() if name not in STATIC and not _fits_frames(field)]
+    moving = dataset.drop_vars(MESH_VARIABLES, errors="ignore")
+    strange = [str(name) for name, field in moving.data_vars.items() if not _fits_frames(field)]
     if strange:
         raise SeriesError(f"{path}: frames cannot hold {', '.join(strange)}; drop_vars them, or put time first")
-    rest, moving = dataset["rest_position"].values, dataset.drop_vars(STATIC)
+    rest = dataset["rest_position"].values
     static, entries = encode_static_parts(mesh.cell_array, rest), []
-    attributes = {str(name): variable.attrs for name, variable in dataset.variables.items()} | {"": dataset.attrs}
+    names = [name for name in dataset.variables if name != "cell_type"]  # its attributes are arrays, and made anew
+    attributes = {str(name): dataset[name].attrs for name in names} | {"": dataset.attrs}
     first = {ATTRIBUTES: np.array([json.dumps(attributes, default=_to_json).encode()])}
     for index, (time, fields) in enumerate(_iterate_frames(moving, rest)):
         name = f"{path.stem}/frame_{index:06d}.vtu"

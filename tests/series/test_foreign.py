@@ -190,7 +190,7 @@ SITUATIONS = [
     Situation("field_and_field_data_named_time", F.names_of_dimensions, "f.pvd", ratios(*STRETCH)),
     Situation("point_field_named_node", F.names_of_dimensions, "h.pvd", opens(rest_position=None)),
     Situation("cell_fields_named_like_ours", F.names_of_dimensions, "i.pvd", ratios(*STRETCH)),
-    Situation("odd_names", F.odd_names, "s.pvd", opens(**{"Von Mises/[MPa]": (0, 1, 2), "σ": (0, 0, 0)})),
+    Situation("odd_names", F.odd_names, "s.pvd", opens(**{"Von Mises_[MPa]": (0, 1, 2), "σ": (0, 0, 0)})),
     # listings
     Situation("many_digits", L.many_digits, "", ratios(1.0, 1.00999999, 1.01, 1.1)),
     Situation("legacy_series", L.legacy_and_multiblock, "Solid-Mesh.vtk.series", ratios(*STRETCH, times=TENTHS)),

@@ -439,8 +439,9 @@ def test_a_dataset_reads_frames_when_values_are_needed(tmp_path, monkeypatch):
         return read_grid(file, *args, **options)
 
     monkeypatch.setattr("pipeline.series.series.read_grid", count)
+    monkeypatch.setattr(engine, "_CACHE_BYTES", 0)  # a series that is too long to look at all of its frames
     dataset = open_lazily(path)
-    assert read == ["f0.vtu", "f1.vtu"]  # the first frame once, and the middle one: its points have moved
+    assert set(read) == {"f0.vtu", "f1.vtu", "f2.vtu"} and read.count("f0.vtu") == 1
     read.clear()
     assert dict(dataset.sizes) == {
         "time": 3, "node": len(POINTS), "cell": len(CELLS), "axis": 3, "corner": 4, "stress_component": 6
@@ -449,10 +450,12 @@ def test_a_dataset_reads_frames_when_values_are_needed(tmp_path, monkeypatch):
     assert dataset["kinetic_energy"].attrs["units"] == "J" and dataset["velocity"].attrs["units"] == "m s-1"
     assert dataset["part"].dtype == np.int32 and dataset["temperature"].dtype == np.float32
     assert read == []
+    assert (dataset["velocity"][0].values == GROWTH * POINTS).all() and (dataset["stress"][0] == 0).all()
+    assert read == ["f0.vtu"]
     one = dataset.isel(time=1)
     assert one["displacement"].values == pytest.approx(move_points(0.1) - POINTS)
     assert one["velocity"].values == pytest.approx(GROWTH * POINTS)
-    assert read == ["f1.vtu"]
+    assert set(read) == {"f0.vtu", "f1.vtu"}
     assert dataset["temperature"][:, 3].values == pytest.approx([3, 3.1, 3.25])
     assert dataset["stress"][::2, [1, 0], 2].values.tolist() == [[0, 0], [0.25, 0.25]]
     assert dataset["temperature"].isel(time=[2, 0], node=slice(2)).values == pytest.approx(

@@ -1,0 +1,272 @@
+"""Datasets of any series: fields of all frames, names that can be stored, and every way out and back."""
+
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray
+
+from pipeline.errors import SeriesError
+from pipeline.series import read_series
+from pipeline.series import xarray_plugin as engine
+from pipeline.series.dataset_layout import ATTRIBUTES
+from tests.foreign.writers import bar, index, stretch, write_vtu
+
+POINTS, CELLS = bar()
+N, E = len(POINTS), len(CELLS)
+TETRAHEDRA = [(10, CELLS)]
+
+
+def write(folder, *frames, points=None):
+    """A series of the stretched bar, with these fields (of points, of cells, of the body) in each frame."""
+    for k, fields in enumerate(frames):
+        x = stretch(POINTS, 1 + 0.1 * k) if points is None else points[k]
+        write_vtu(folder / f"f_{k}.vtu", x, TETRAHEDRA, *fields)
+    index(folder, frames=range(len(frames)))
+    return folder / "s.pvd"
+
+
+def open_lazily(path, **options):
+    return xarray.open_dataset(path, engine=engine.SeriesBackend, **options)
+
+
+def cellular(**fields):
+    return ({}, {name: np.full(E, value) for name, value in fields.items()})
+
+
+# Fields of all frames
+
+
+def test_a_field_that_comes_late_or_vanishes_is_nan_elsewhere(tmp_path):
+    frames = [
+        cellular(a=np.int64(1)),
+        cellular(b=2.5),
+        cellular(a=np.int64(3), c=np.float32(4)),
+        cellular(a=np.int64(5)),
+    ]
+    dataset = open_lazily(write(tmp_path, *frames))
+    assert dataset["a"].dtype == dataset["b"].dtype == np.float64 and dataset["c"].dtype == np.float32
+    assert dataset["a"][:, 0].values == pytest.approx([1, np.nan, 3, 5], nan_ok=True)
+    assert dataset["b"][:, 3].values == pytest.approx([np.nan, 2.5, np.nan, np.nan], nan_ok=True)
+    assert dataset["c"].isel(cell=[2], time=[2, 1]).values.ravel() == pytest.approx([4, np.nan], nan_ok=True)
+    assert "not in all frames, NaN in the others: a, b, c" in dataset.attrs["comment"]
+
+
+def test_integers_stay_integers_and_types_widen_over_all_frames(tmp_path):
+    kinds = [(np.uint8, np.float32, np.int64), (np.int32, np.float64, np.uint8), (np.int32, np.float32, np.float64)]
+    values = [(7, 0.5, 2**40), (-300, 1e9 + 1, 3), (2**30, 0.25, 0.5)]
+    frames = [
+        cellular(**{n: t(v) for n, t, v in zip("abc", *pair, strict=True)}) for pair in zip(kinds, values, strict=True)
+    ]
+    dataset = open_lazily(write(tmp_path, *frames))
+    assert [dataset[name].dtype for name in "abc"] == [np.int32, np.float64, np.float64]
+    for k, expected in enumerate(values):
+        assert [dataset[name][k, 0].item() for name in "abc"] == list(expected)
+
+
+def test_a_shape_that_changes_and_texts_are_left_out_with_a_note(tmp_path):
+    vector, tensor = np.zeros((E, 3)), np.zeros((E, 6))
+    path = write(tmp_path, ({}, {"v": vector, "w": vector}), ({}, {"v": tensor, "w": vector}))
+    dataset = open_lazily(path)
+    assert "v" not in dataset and dataset["w"].dims == ("time", "cell", "axis")
+    assert (
+        "cell field v is left out: its shape changes, from (3,) in f_0.vtu to (6,) in f_1.vtu"
+        in dataset.attrs["comment"]
+    )
+
+
+def long_series(folder, late):
+    """Eleven frames, of which the sixth, not looked at if there are too many, has other fields."""
+    frames = [cellular(a=np.int32(k), b=np.float32(k)) for k in range(11)]
+    frames[6] = late
+    return write(folder, *frames)
+
+
+@pytest.mark.parametrize(
+    ("late", "message"),
+    [
+        (cellular(b=np.float32(6)), "f_6.vtu: the cell field a is missing, and integers have no NaN: scan_all = True"),
+        (
+            cellular(a=0.5, b=np.float32(6)),
+            "f_6.vtu: the cell field a is float64, and int32 cannot hold all its numbers",
+        ),
+        (cellular(a=np.int64(2**40), b=np.float32(0)), "f_6.vtu: the cell field a is int64, and int32 cannot hold"),
+        (({}, {"a": np.zeros((E, 3))}), "f_6.vtu: the cell field a has shape (12, 3), in the frames looked at (12,)"),
+    ],
+)
+def test_a_frame_that_contradicts_the_table_is_an_error(tmp_path, monkeypatch, late, message):
+    monkeypatch.setattr(engine, "_CACHE_BYTES", 0)
+    path = long_series(tmp_path, late)
+    dataset = open_lazily(path)
+    assert "frames 0, 1, 5, 10 of 11; scan_all = True looks at all" in dataset.attrs["comment"]
+    assert dataset["a"].dtype == np.int32 and dataset["a"][:6, 0].values.tolist() == list(range(6))
+    with pytest.raises(SeriesError) as caught:
+        dataset["a"].load()
+    assert message in str(caught.value)
+    whole = open_lazily(path, scan_all=True)
+    if "shape" in message:
+        assert "a" not in whole and "its shape changes" in whole.attrs["comment"]
+    else:
+        assert whole["a"][6, 0].values == pytest.approx(late[1].get("a", [np.nan])[0], nan_ok=True)
+
+
+def test_a_frame_that_was_not_looked_at_may_have_other_types_if_no_number_changes(tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "_CACHE_BYTES", 0)
+    dataset = open_lazily(long_series(tmp_path, cellular(a=6.0)))
+    assert dataset["a"].dtype == np.int32 and dataset["a"][:, 0].values.tolist() == list(range(11))
+    assert np.isnan(dataset["b"][6]).all() and dataset["b"][7, 0] == 7
+
+
+# Names
+
+
+def test_names_of_points_cells_and_the_body_are_told_apart(tmp_path):
+    fields = ({"T": np.full(N, 1.0)}, {"T": np.full(E, 2.0), "T_cell": np.full(E, 3.0)}, {"T": [4.0]})
+    dataset = open_lazily(write(tmp_path, fields, fields))
+    found = {
+        name: (dataset[name].dims[1:], dataset[name].values.ravel()[0]) for name in dataset if name.startswith("T")
+    }
+    assert found == {
+        "T": (("node",), 1.0), "T_cell": (("cell",), 2.0), "T_cell_cell": (("cell",), 3.0), "T_field": ((), 4.0)
+    }  # fmt: skip
+    assert dataset["T_cell"].attrs["comment"] == "the cell field T of the files"
+    assert "the cell field T is named T_cell: that name is taken" in dataset.attrs["comment"]
+
+
+ODD = ["a/b", "/", "..", "__hidden", "[MPa] x", " spaces ", "tab\there", "σ", "-1", "x" * 300, "mesh", "node_x"]
+
+
+def test_every_name_can_be_stored_by_netcdf_and_zarr(tmp_path):
+    fields = ({name: np.full(N, 1.0 * k) for k, name in enumerate(ODD)},)
+    dataset = open_lazily(write(tmp_path, fields, fields)).load()
+    assert "a_b" in dataset and "σ" in dataset and "mesh_point" in dataset and "node_x_point" in dataset
+    dataset.to_netcdf(tmp_path / "a.nc", engine="netcdf4")
+    with xarray.open_dataset(tmp_path / "a.nc", engine="netcdf4") as again:
+        xarray.testing.assert_identical(again.load(), dataset)
+    dataset.to_zarr(tmp_path / "a.zarr")
+    xarray.testing.assert_equal(xarray.open_zarr(tmp_path / "a.zarr").load(), dataset)
+    xarray.testing.assert_identical(open_lazily(dataset.deformation.to_pvd(tmp_path / "again.pvd")), dataset)
+
+
+def test_a_measure_of_another_program_keeps_its_name_only_if_it_agrees(tmp_path):
+    ratios = [1.0, 1.1]
+    right = [cellular(volume_ratio=np.float32(ratio)) for ratio in ratios]
+    dataset = open_lazily(write(tmp_path, *right))
+    assert dataset["volume_ratio"].dtype == np.float32 and dataset["volume_ratio"].attrs["units"] == "1"
+    (tmp_path / "b").mkdir()
+    dataset = open_lazily(write(tmp_path / "b", *right[::-1]))
+    assert "volume_ratio" not in dataset and dataset["volume_ratio_cell"][0, 0] == np.float32(1.1)
+    assert "units" not in dataset["volume_ratio_cell"].attrs
+
+
+def test_a_displacement_that_is_not_that_of_the_points_is_kept_beside_it(tmp_path):
+    u = [stretch(POINTS, 1 + 0.1 * k) - POINTS for k in range(3)]
+    dataset = open_lazily(write(tmp_path, *(({"displacement": field},) for field in u)))
+    assert "displacement_point" not in dataset
+    assert dataset["displacement"].max(["node", "axis"]).values == pytest.approx([0, 0.2, 0.4])
+    (tmp_path / "b").mkdir()
+    dataset = open_lazily(write(tmp_path / "b", *(({"displacement": 2 * field},) for field in u)), displacement="none")
+    assert dataset["displacement"].max(["node", "axis"]).values == pytest.approx([0, 0.2, 0.4])
+    assert dataset["displacement_point"].max(["node", "axis"]).values == pytest.approx([0, 0.4, 0.8])
+
+
+# Ways out and back
+
+
+def test_a_dataset_goes_through_netcdf_zarr_and_pickle(tmp_path):
+    fields = [({"v": np.full((N, 3), float(k))}, {"id": np.arange(E)}, {"energy": [float(k)]}) for k in range(3)]
+    dataset = open_lazily(write(tmp_path, *fields), chunks={})
+    assert dataset["v"].chunks == ((1, 1, 1), (N,), (3,))
+    ratio = dataset.deformation.volume_ratio()
+    assert ratio.chunks == ((1, 1, 1), (E,))
+    assert ratio.values == pytest.approx(np.repeat([[1.0], [1.1], [1.2]], E, axis=1))
+    dataset.to_netcdf(tmp_path / "a.nc", engine="netcdf4")
+    dataset.to_zarr(tmp_path / "a.zarr")
+    netcdf, zarr = xarray.open_dataset(tmp_path / "a.nc", engine="netcdf4"), xarray.open_zarr(tmp_path / "a.zarr")
+    for again in (netcdf, zarr, pickle.loads(pickle.dumps(dataset))):
+        xarray.testing.assert_identical(again.load(), dataset.load())
+        assert again["id"].dtype == np.int64
+        assert again.deformation.worst() == dataset.deformation.worst()
+        xarray.testing.assert_identical(again.deformation.volume_ratio(), dataset.deformation.volume_ratio())
+    netcdf.close()
+
+
+def test_a_temporal_vtkhdf_opens_without_naming_the_engine(tmp_path, installed):
+    """xarray asks netCDF4 first, which takes every HDF5 file: the dataset would be empty."""
+    pytest.importorskip("h5py")
+    from pipeline.case import load_case
+    from pipeline.results.case_run import run_case
+    from tests.bodies import write_case
+
+    case = load_case(write_case(tmp_path, output={"format": "vtkhdf"}, movie=None))
+    folder = run_case(case, tmp_path / "out", variants=["linear"], movie=False).folder / "linear"
+    code = (
+        f"import xarray; ds = xarray.open_dataset({str(folder / 'series.vtkhdf')!r}); print(ds.sizes['time'], len(ds))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], env=installed, capture_output=True, text=True, check=True)
+    frames, variables = map(int, run.stdout.split())
+    assert frames == len(read_series(folder)) and variables > 5
+    nc = next(folder.glob("*.nc"))
+    code = f"import xarray; print(len(xarray.open_dataset({str(nc)!r})))"
+    run = subprocess.run([sys.executable, "-c", code], env=installed, capture_output=True, text=True, check=True)
+    assert int(run.stdout) > 5
+
+
+# The accessor
+
+
+def moved(folder):
+    return open_lazily(write(folder, *(({},) for _ in range(3))))
+
+
+def test_repeated_times_and_further_dimensions_are_told(tmp_path):
+    dataset = moved(tmp_path).load()
+    both = xarray.concat([dataset, dataset], "time", data_vars="minimal")
+    assert both.deformation.worst() == dataset.deformation.worst()
+    with pytest.raises(SeriesError, match=r"2 frames have the time 0\.1 s: drop_duplicates"):
+        both.deformation.to_pyvista(0.1)
+    assert both.drop_duplicates("time").deformation.to_pyvista(0.1).n_cells == E
+    variants = xarray.concat([dataset, dataset], "variant", data_vars=["displacement"])
+    with pytest.raises(
+        SeriesError, match=r"displacement has the dimensions variant, time, .*: select one variant first"
+    ):
+        variants.deformation.worst()
+    assert variants.isel(variant=1).deformation.worst() == dataset.deformation.worst()
+    everything = xarray.concat([dataset, dataset], "time", data_vars="all")
+    with pytest.raises(SeriesError, match=r"rest_position has the dimensions .*: the mesh must be the same everywhere"):
+        everything.deformation.volume_ratio()
+    with pytest.raises(SeriesError, match=r"keep time \(isel"):
+        dataset.isel(time=1).deformation.volume_ratio()
+
+
+def test_missing_nodes_are_nan_in_their_cells_only(tmp_path):
+    dataset = moved(tmp_path).load()
+    dataset["displacement"][2, CELLS[0, 0]] = np.nan
+    lost = (CELLS[0, 0] == CELLS).any(axis=1)
+    assert 0 < lost.sum() < E
+    for name in ("volume_ratio", "rotation_angle", "volume_ratio_min"):
+        measured = getattr(dataset.deformation, name)()
+        assert (np.isnan(measured[2].values) == lost).all() and np.isfinite(measured[:2]).all()
+    assert not dataset.deformation.is_inverted().any()
+    assert dataset.deformation.worst().volume_ratio == pytest.approx(1.2)
+    assert dataset.deformation.to_pyvista(0.2).n_cells == E - lost.sum()
+    dataset["displacement"][:] = np.nan
+    assert dataset.deformation.worst().volume_ratio == 1.0
+
+
+def test_an_inverted_cell_is_told(tmp_path):
+    dataset = moved(tmp_path).load()
+    dataset["displacement"][1, :, 0] = -2 * dataset["rest_position"][:, 0]
+    inverted = dataset.deformation.is_inverted()
+    assert inverted.dtype == bool and inverted.any("cell").values.tolist() == [False, True, False]
+    assert dataset.deformation.volume_ratio_max()[1].values == pytest.approx(-1.0)
+
+
+def test_attributes_survive_in_frames(tmp_path):
+    dataset = moved(tmp_path)
+    dataset.attrs["history"] = "made by hand"
+    path = dataset.deformation.to_pvd(tmp_path / "again.pvd")
+    assert ATTRIBUTES in read_series(path).read_grid(0).field_data
+    assert open_lazily(path).attrs == dataset.attrs
