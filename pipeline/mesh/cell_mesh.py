@@ -6,7 +6,15 @@ from functools import cached_property
 import numpy as np
 
 from pipeline.arrays import Floats
+from pipeline.errors import MeshError
 from pipeline.formats.grid import CellArray
+from pipeline.mesh.blocks import KindBlock, check_types, split_blocks
+from pipeline.mesh.body_mesh import BodyMesh
+from pipeline.mesh.cell_kinds import TYPES
+from pipeline.mesh.rest_cells import RestBlock, measure_block, prepare_block, share_among_nodes
+from pipeline.mesh.simplex import signed_volumes
+
+_LARGEST = 1e30  # [m], as for simplices
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -14,7 +22,8 @@ class CellMesh:
     """Points (n, 2) or (n, 3) [m] and cells of one dimension in VTK's layout; see BodyMesh.
 
     `plane` are two orthonormal rows (2, 3) if a planar body lies in any plane of space: areas are signed in it. Raises
-    MeshError for cells that are inverted or flat at rest.
+    MeshError for cells that are inverted or flat at rest, that cannot be measured, or that name nodes that do not
+    exist. `notes` say how cells that are not simple are measured.
     """
 
     points: Floats
@@ -24,27 +33,136 @@ class CellMesh:
     name: str = "mesh"
     notes: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", np.ascontiguousarray(self.points, dtype=np.float64))
+        _check_layout(self)
+        check_types(self.cell_array, self.name)
+        bad = np.flatnonzero(~((self.rest_volumes > 0) & np.isfinite(self.rest_volumes)))
+        if bad.size:
+            kind = TYPES[int(self.cell_array.types[bad[0]])].name
+            raise MeshError(
+                f"{self.name}: {bad.size} inverted or flat cells, first {bad[0]} ({kind}) with "
+                f"{'volume' if self.dimension == 3 else 'area'} {self.rest_volumes[bad[0]]:.3g}; "
+                "reorient or remove them"
+            )
+        object.__setattr__(self, "notes", (*self.notes, *_list_notes(self)))
+        self.points.setflags(write=False)
+
     def __repr__(self) -> str:
         return (
             f"<CellMesh {self.name}: {len(self.points)} nodes, {len(self.cell_array.types)} cells, {self.dimension}D>"
         )
 
+    @property
+    def is_surface(self) -> bool:
+        """Return whether the cells are surfaces in space, without a plane of their own."""
+        return self.dimension == 2 and self.points.shape[1] == 3 and self.plane is None
+
+    @cached_property
+    def blocks(self) -> tuple[KindBlock, ...]:
+        """Return the cells that have shape functions, kind by kind."""
+        return split_blocks(self.cell_array)
+
+    @cached_property
+    def rest_blocks(self) -> tuple[RestBlock, ...]:
+        """Return the rest state of every block, which measures of frames need; computed once."""
+        local = self.find_local(self.points)
+        return tuple(prepare_block(local, block) for block in self.blocks)
+
+    def find_local(self, points: Floats) -> Floats:
+        """Return points (n, c) in the coordinates of the plane, if there is one."""
+        return points if self.plane is None else np.ascontiguousarray(points @ self.plane.T)
+
     @cached_property
     def rest_volumes(self) -> Floats:
         """Return the rest volume of every cell (e,) [m3; m2 if the dimension is 2]."""
-        raise NotImplementedError
+        return measure_volumes(self.points, self.cell_array, self.dimension, self.plane)
 
     @cached_property
     def node_volumes(self) -> Floats:
         """Return each node's share of the volumes of its cells (n,): integrals of its shape functions."""
-        raise NotImplementedError
+        local, total = self.find_local(self.points), np.zeros(len(self.points))
+        for block in self.blocks:
+            shares = share_among_nodes(local, block)
+            # surfaces are integrated with more points here: their sum is made that of the volumes
+            shares *= (self.rest_volumes[block.cells] / shares.sum(axis=1))[:, None]
+            total += np.bincount(block.connectivity.ravel(), shares.ravel(), minlength=len(total))
+        return total
 
     @cached_property
     def centers(self) -> Floats:
         """Return the mean rest position of the points of every cell (e, d)."""
-        raise NotImplementedError
+        counts = np.diff(self.cell_array.offsets)
+        owner = np.repeat(np.arange(len(counts)), counts)
+        nodes = self.points[self.cell_array.connectivity]
+        sums = [np.bincount(owner, axis, minlength=len(counts)) for axis in nodes.T]
+        return np.column_stack(sums) / counts[:, None]
 
     @cached_property
     def size(self) -> float:
         """Return the diagonal of the bounding box [m]."""
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+
+def measure_volumes(points: Floats, cell_array: CellArray, dimension: int, plane: Floats | None = None) -> Floats:
+    """Return the signed volume (e,) of every cell at points (n, 2) or (n, 3), NaN for those of another dimension.
+
+    Areas are signed in the plane of z or in `plane`; those of surfaces in space are positive.
+    """
+    local = points if plane is None else np.ascontiguousarray(points @ plane.T)
+    volumes = np.full(len(cell_array.types), np.nan)
+    for block in split_blocks(cell_array):
+        if block.kind.dimension != dimension:
+            continue
+        simple = block.kind.is_linear_simplex and local.shape[1] == dimension
+        surface = local.shape[1] > dimension
+        volumes[block.cells] = (
+            signed_volumes(local, block.connectivity)
+            if simple
+            else measure_block(local, block, "surface" if surface else "volume")
+        )
+    return volumes
+
+
+def require_cell_mesh(mesh: BodyMesh) -> CellMesh:
+    """Return the mesh itself if it is one of cells of any kind; raises MeshError otherwise."""
+    if not isinstance(mesh, CellMesh):
+        raise MeshError(f"{mesh.name}: its cells are not described by VTK's types")
+    return mesh
+
+
+def _check_layout(mesh: CellMesh) -> None:
+    """Raise MeshError if points and cells do not fit each other."""
+    cells, n, name = mesh.cell_array, len(mesh.points), mesh.name
+    if mesh.points.ndim != 2 or mesh.points.shape[1] not in (2, 3) or mesh.dimension not in (2, mesh.points.shape[1]):
+        raise MeshError(f"{name}: points {mesh.points.shape} do not fit cells of dimension {mesh.dimension}")
+    if not len(cells.types):
+        raise MeshError(f"{name}: no cells")
+    if not (np.abs(mesh.points) <= _LARGEST).all():  # written so that NaN fails too
+        raise MeshError(f"{name}: a point is not finite, or farther than {_LARGEST:g} from the origin")
+    if len(cells.connectivity) and not 0 <= cells.connectivity.min() <= cells.connectivity.max() < n:
+        wrong = cells.connectivity.min() if cells.connectivity.min() < 0 else cells.connectivity.max()
+        raise MeshError(f"{name}: a cell names node {wrong} of {n} (counted from 0)")
+    other = [int(t) for t in np.unique(cells.types) if int(t) in TYPES and TYPES[int(t)].dimension != mesh.dimension]
+    if other:
+        first = int(np.flatnonzero(cells.types == other[0])[0])
+        raise MeshError(f"{name}: cell {first} ({TYPES[other[0]].name}) is not of dimension {mesh.dimension}")
+
+
+def _list_notes(mesh: CellMesh) -> tuple[str, ...]:
+    """Return notes on cells that are folded or degenerate at rest."""
+    nothing = [np.zeros(0, dtype=np.int64)]
+    folded = np.concatenate(nothing + [rest.block.cells[rest.folded_cells] for rest in mesh.rest_blocks])
+    flat = np.concatenate(nothing + [rest.block.cells[rest.degenerate_cells] for rest in mesh.rest_blocks])
+    notes = []
+    if folded.size:
+        notes.append(
+            f"{folded.size} cells are folded at rest (first {folded.min()}): their volumes are positive, but their "
+            "maps are inverted somewhere; det F is relative to that"
+        )
+    if flat.size:
+        notes.append(
+            f"{flat.size} cells have nodes or edges that coincide at rest (first {flat.min()}): det F is not sampled "
+            "at these points"
+        )
+    return tuple(notes)

@@ -13,6 +13,7 @@ from pipeline.arrays import Floats
 from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import angle, polar
 from pipeline.mesh.body_mesh import BodyMesh
+from pipeline.mesh.cell_mesh import require_cell_mesh
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.run.frame import Frame, Values
 
@@ -101,7 +102,9 @@ class CellMeasures(NamedTuple):
 def measure_cells(mesh: BodyMesh, x: Floats) -> CellMeasures:
     """Return the measures of each cell at positions x (n, d)."""
     if not isinstance(mesh, Mesh):
-        raise NotImplementedError
+        from pipeline.run.cell_measures import measure_any_cells
+
+        return CellMeasures(*measure_any_cells(require_cell_mesh(mesh), x))
     if mesh.dimension == 2:
         return measure_simplices_by_numpy(mesh, x)
     from pipeline.fem.kernels import volumes_and_angles as measure_kernels

@@ -1,0 +1,66 @@
+"""The measures of cells of any kind, block by block through the compiled kernels."""
+
+import numpy as np
+
+from pipeline.arrays import Floats
+from pipeline.fem.element import deformation_gradient
+from pipeline.fem.kernels import cells as cell_kernels
+from pipeline.fem.kernels import volumes_and_angles as simplex_kernels
+from pipeline.fem.rotation import angle, polar
+from pipeline.mesh.cell_mesh import CellMesh
+from pipeline.mesh.rest_cells import RestBlock
+from pipeline.mesh.simplex import Mesh, signed_volumes
+
+_AT_A_TIME = 8192  # tetrahedra
+Measures = tuple[Floats, Floats, Floats, Floats]
+
+
+def measure_any_cells(mesh: CellMesh, x: Floats) -> Measures:
+    """Return signed volumes, extremes of det F, and angles of rotation [rad] of every cell (e,) at positions x (n, c).
+
+    Cells with a node that is NaN have NaN.
+    """
+    x = np.ascontiguousarray(x, dtype=np.float64)
+    volumes, ratio_min, ratio_max, angles = np.full((4, len(mesh.cell_array.types)), np.nan)
+    outputs = (volumes, ratio_min, ratio_max, angles)
+    local = mesh.find_local(x)
+    for rest in mesh.rest_blocks:
+        _measure_block(mesh, rest, local, outputs)
+    return outputs
+
+
+def _measure_block(mesh: CellMesh, rest: RestBlock, x: Floats, outputs: Measures) -> None:
+    """Write the measures of a block's cells into the outputs."""
+    if rest.block.kind.is_linear_simplex and mesh.dimension == 3:
+        _measure_tetrahedra(mesh, rest, x, outputs)
+        return
+    if rest.block.kind.is_linear_simplex and mesh.points.shape[1] == 2:
+        _measure_triangles(mesh, rest, x, outputs)
+        return
+    place = (rest.block.cells, rest.connectivity, rest.derivatives, rest.samples.weights, rest.inverse, rest.gradients)
+    if mesh.is_surface:
+        cell_kernels.measure_surfaces(x, *place, rest.normals, *outputs)
+    elif mesh.dimension == 2:
+        cell_kernels.measure_planar(x, *place, *outputs)
+    else:
+        cell_kernels.measure_solids(x, *place, *outputs)
+
+
+def _measure_tetrahedra(mesh: CellMesh, rest: RestBlock, x: Floats, outputs: Measures) -> None:
+    """Write the measures of linear tetrahedra by the kernel of simplices, so that they have the same bits."""
+    volumes, angles = np.empty((2, min(_AT_A_TIME, len(rest.volumes))))
+    for first in range(0, len(rest.volumes), _AT_A_TIME):
+        cells = rest.block.cells[first : first + _AT_A_TIME]
+        part, count = slice(first, first + len(cells)), len(cells)
+        simplex_kernels.measure_cells(x, rest.connectivity[part], rest.gradients[part], volumes[:count], angles[:count])
+        outputs[0][cells], outputs[3][cells] = volumes[:count], angles[:count]
+        outputs[1][cells] = outputs[2][cells] = volumes[:count] / mesh.rest_volumes[cells]
+
+
+def _measure_triangles(mesh: CellMesh, rest: RestBlock, x: Floats, outputs: Measures) -> None:
+    """Write the measures of linear triangles in the plane by the code of simplices, so that they have the same bits."""
+    cells, triangles = rest.block.cells, Mesh(mesh.points, rest.connectivity)
+    outputs[0][cells] = signed_volumes(x, rest.connectivity)
+    outputs[1][cells] = outputs[2][cells] = outputs[0][cells] / mesh.rest_volumes[cells]
+    angles = angle(polar(deformation_gradient(triangles, x)))
+    outputs[3][cells] = np.where(np.isnan(outputs[0][cells]), np.nan, angles)
