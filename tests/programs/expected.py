@@ -67,6 +67,11 @@ def make_expectation(program, series, times, *, centers, rest_volumes, volumes, 
     }
 
 
+def make_refusal(program, series, text):
+    """Return an entry of expected.json for a series that must be refused with an error that has the text (a regex)."""
+    return {"program": program, "series": series, "refused": text}
+
+
 def digits(values):
     """Return nested lists of the values with eleven significant digits."""
     return np.vectorize(lambda v: float(f"{v:.11g}"))(np.asarray(values, dtype=float)).tolist()

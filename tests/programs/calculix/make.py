@@ -39,7 +39,7 @@ def make_mesh(pieces):
     numbers, cells = {}, []
     for shift in (0.0, 1.0):
         for piece in pieces:
-            cells.append([numbers.setdefault(tuple(p), len(numbers)) for p in piece + [shift, 0, 0]])
+            cells.append([numbers.setdefault(tuple(p), len(numbers)) for p in piece + np.array([shift, 0, 0])])
     return np.array(list(numbers)), np.array(cells)
 
 
@@ -51,19 +51,17 @@ def write_deck(path, kind, points, cells, binary):
     lines.append(f"*ELEMENT, TYPE={kind}, ELSET=BAR")
     for k, cell in enumerate(cells):
         row = [str(n) for n in (k + 1, *(cell + 1))]
-        lines += [", ".join(row[:11]) + ("," if len(row) > 11 else "")] + (
-            [", ".join(row[11:])] if len(row) > 11 else []
-        )
+        lines.append(", ".join(row[:11]) + ("," if len(row) > 11 else ""))
+        lines += [", ".join(row[11:])] if len(row) > 11 else []
     lines += ["*MATERIAL, NAME=SOFT", "*ELASTIC", "10.0, 0.3", "*SOLID SECTION, ELSET=BAR, MATERIAL=SOFT"]
     for t in TIMES[1:]:
         u = move_bar(points, t) - points
-        lines += ["*STEP, NLGEOM, INC=100", "*STATIC", f"1.0, {t - TIMES[TIMES.index(t) - 1]:g}"]
-        lines[-1] = "{0:g}, {0:g}".format(t - TIMES[TIMES.index(t) - 1])
-        lines.append("*BOUNDARY")
+        length = t - TIMES[TIMES.index(t) - 1]
+        lines += ["*STEP, NLGEOM, INC=100", "*STATIC", f"{length:g}, {length:g}", "*BOUNDARY"]
         lines += [f"{i + 1}, {a + 1}, {a + 1}, {u[i, a]:.12g}" for i in ends for a in range(3)]
-        lines += [f"*NODE {'OUTPUT' if binary else 'FILE'}", "U, RF", f"*EL {'FILE' if not binary else 'FILE'}", "S"]
-        if binary:
-            lines[-2:] = ["*ELEMENT OUTPUT", "S"]
+        lines += (
+            ["*NODE OUTPUT", "U, RF", "*ELEMENT OUTPUT", "S"] if binary else ["*NODE FILE", "U, RF", "*EL FILE", "S"]
+        )
         lines += ["*NODE PRINT, NSET=ALL", "U", "*END STEP"]
     path.write_text("\n".join(lines) + "\n")
 

@@ -12,7 +12,7 @@ import numpy as np
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
-from expected import TIMES, make_expectation, move_bar, move_plate, write_expected  # noqa: E402
+from expected import TIMES, make_expectation, make_refusal, move_bar, move_plate, write_expected  # noqa: E402
 
 
 class BarMotion(df.UserExpression):
@@ -105,7 +105,9 @@ def main():
             checkpoint.write_checkpoint(u, "u", t, df.XDMFFile.Encoding.HDF5, append[0])
             append[0] = True
 
-        entries.append(run(df.BoxMesh(df.Point(0, 0, 0), df.Point(2, 1, 1), 2, 1, 1), 2, "quadratic.xdmf", write))
+        # Values per cell and order-2 functions on a linear mesh: no reader of XDMF but FEniCS' own knows them.
+        entry = run(df.BoxMesh(df.Point(0, 0, 0), df.Point(2, 1, 1), 2, 1, 1), 2, "quadratic.xdmf", write)
+        entries.append(make_refusal(entry["program"], entry["series"], "write\\(\\) in place of write_checkpoint"))
     plate_pvd = df.File("plate.pvd")
     entries.append(run(plate, 1, "plate.pvd", lambda u, t: plate_pvd.__lshift__((u, t))))
     write_expected(HERE, *entries)

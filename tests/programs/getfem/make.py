@@ -7,6 +7,7 @@
 
 import os
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import getfem
@@ -59,7 +60,7 @@ def run(name, mesh, element, constant, rule):
         means.append(np.stack(F, axis=1).reshape(-1, 3, 3))
     points = mesh.pts().T
     numbers, starts = mesh.pid_from_cvid()
-    corners = [numbers[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True)]
+    corners = [numbers[a:b] for a, b in pairwise(starts)]
     centers = [points[c].mean(axis=0) for c in corners]
     return make_expectation("GetFEM 5.4.2", f"{name}_*.{suffix}", range(len(TIMES)), centers=centers, rest_volumes=rest,
                             volumes=volumes, gradients=means, accuracy=1e-5)  # fmt: skip
