@@ -1,4 +1,4 @@
-"""Meshes as plain arrays, from every format that meshio reads."""
+"""Meshes as plain arrays, from the formats that meshio reads."""
 
 import io
 import warnings
@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import MeshError, shorten
+from pipeline.formats.plain_mesh import CellBlock, PlainMesh, make_block
 
-SIMPLEX_NAMES = {2: "triangle", 3: "tetra"}  # meshio's, by dimension
-# cell type, dimension, count, and the nodes (count, corners) of linear simplices, None for other types
-CellBlock = tuple[str, int, int, Any]
+_REGIONS = ("gmsh:physical", "netgen:index", "medit:ref", "cell_tags", "su2:tag", "flac3d:group")
 
 
-def read_plain_mesh(path: Path) -> tuple[Any, list[CellBlock], str]:
-    """Return points (n, 2 or 3), the blocks of cells, and the text that meshio printed; raises MeshError.
+def read_by_meshio(path: Path) -> PlainMesh:
+    """Return the mesh of a file; a note repeats the text that meshio printed; raises MeshError.
 
     meshio prints, warns, and exits if no reader accepts the file; its readers pass on their parsers' errors.
     """
@@ -27,7 +26,8 @@ def read_plain_mesh(path: Path) -> tuple[Any, list[CellBlock], str]:
             warnings.simplefilter("ignore")
             mesh = _read_mesh(path)
             points = np.ascontiguousarray(mesh.points, dtype=np.float64)
-            blocks = [_make_block(block) for block in mesh.cells if len(block.data)]
+            blocks = [make_block(str(b.type), int(b.dim), b.data) for b in mesh.cells if len(b.data)]
+            regions = _find_regions(mesh, blocks)
     except MemoryError:
         raise
     except (Exception, SystemExit) as error:
@@ -35,13 +35,27 @@ def read_plain_mesh(path: Path) -> tuple[Any, list[CellBlock], str]:
         missing = f"; pip install {error.name}" if isinstance(error, ModuleNotFoundError) else ""
         # the parser of a text file may quote all of it; the first words are enough
         raise MeshError(f"{path}: meshio cannot read it ({shorten(' '.join(reason.split()), 300)}){missing}") from error
-    return points, blocks, " ".join(printed.getvalue().split())
+    output = " ".join(printed.getvalue().split())
+    return PlainMesh(points, blocks, [f"meshio says: {output}"] if output else [], regions)
 
 
-def _make_block(block: Any) -> CellBlock:
-    is_simplex = block.type in SIMPLEX_NAMES.values()
-    cells = np.ascontiguousarray(block.data, dtype=np.int64) if is_simplex else None
-    return str(block.type), int(block.dim), len(block.data), cells
+def _find_regions(mesh: Any, blocks: list[CellBlock]) -> list[str]:
+    """Return the regions of the cells of the highest dimension, by the names in the file if it has any."""
+    top = max((dimension for _, dimension, *_ in blocks), default=0)
+    names = {(int(number), int(d)): str(name) for name, (number, d) in _list_names(mesh)}
+    for key in _REGIONS:
+        if key in mesh.cell_data:
+            data = [
+                np.ravel(values) for block, values in zip(mesh.cells, mesh.cell_data[key], strict=True)
+                if len(block.data) and block.dim == top
+            ]  # fmt: skip
+            numbers = np.unique(np.concatenate(data)).tolist() if data else []
+            return [names.get((int(number), top), f"region {number:g}") for number in numbers]
+    return []
+
+
+def _list_names(mesh: Any) -> list[tuple[str, Any]]:
+    return [(name, value) for name, value in (mesh.field_data or {}).items() if np.size(value) == 2]
 
 
 def _read_mesh(path: Path) -> Any:

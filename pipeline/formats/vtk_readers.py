@@ -114,7 +114,8 @@ def make_grid(data: Any, file: Path) -> Grid:
     if (fault := find_cell_fault(types, offsets, len(connectivity))) is not None:
         raise SeriesError(f"{file}: {fault}")
     if connectivity.min() < 0 or connectivity.max() >= len(points):
-        raise SeriesError(f"{file}: a cell refers to point {connectivity.max()} of {len(points)} (counted from 0)")
+        wrong = connectivity.min() if connectivity.min() < 0 else connectivity.max()
+        raise SeriesError(f"{file}: a cell refers to point {wrong} of {len(points)} (counted from 0)")
     nodal, cellular, numbers = (
         {name: np.asarray(data[name]) for name in data.keys()}  # noqa: SIM118  (pyvista's fields iterate over values)
         for data in (grid.point_data, grid.cell_data, grid.field_data)

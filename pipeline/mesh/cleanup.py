@@ -7,11 +7,15 @@ inverted cells, because they overlap their neighbors.
 """
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
 from pipeline.mesh.orientation import find_mirrored_cells, swap_corners
 from pipeline.mesh.simplex import CELL_NAMES
+
+PLANAR = 1e-6  # of the size: rounding to single precision leaves a few 1e-7 of it
+_NEAREST = 1e-7  # of the size: rounding to eight digits takes coincident nodes that far apart
 
 
 def check_connectivity(points: Floats, cells: Ints) -> None:
@@ -45,12 +49,13 @@ def drop_unused_nodes(points: Floats, cells: Ints) -> tuple[Floats, Ints, list[s
     return points[used], (np.cumsum(used) - 1)[cells], [note]
 
 
-def check_points(points: Floats) -> None:
-    """Raise MeshError for a point that is not finite or lies exactly on another."""
+def check_points(points: Floats, body: Ints | None = None) -> None:
+    """Raise MeshError for a point that is not finite or lies exactly on another of the same body (n,)."""
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise MeshError(f"{bad.size} points are not finite, first {bad[0]}: {points[bad[0]].tolist()}")
-    _, first, inverse = np.unique(points, axis=0, return_index=True, return_inverse=True)
+    places = points if body is None else np.column_stack([points, body])
+    _, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)
     original = first[inverse.ravel()]
     twice = np.flatnonzero(original != np.arange(len(points)))
     if twice.size:
@@ -58,6 +63,27 @@ def check_points(points: Floats) -> None:
             f"{twice.size} nodes lie exactly on others, first {twice[0]} on {original[twice[0]]} at "
             f"{points[twice[0]].tolist()}: the body would come apart there; merge them (gmsh: Coherence Mesh; "
             "pyvista: grid.clean()), or move the parts slightly apart if that is intended"
+        )
+
+
+def check_distances(points: Floats, body: Ints | None = None) -> None:
+    """Raise MeshError if a node (n, d) lies almost on another of the same body (n,): rounding took them apart."""
+    reach = _NEAREST * float(np.ptp(points, axis=0).max(initial=0.0))
+    found = cKDTree(points).query(points, k=2, distance_upper_bound=reach)
+    distances, others = np.asarray(found[0]), np.asarray(found[1])
+    near = np.flatnonzero(np.isfinite(distances[:, 1]))
+    partner = others[near, 1]
+    partner[partner == near] = others[near, 0][partner == near]
+    if body is not None:
+        same = body[near] == body[partner]
+        near, partner = near[same], partner[same]
+    if near.size:
+        a, b = int(near[0]), int(partner[0])
+        raise MeshError(
+            f"{near.size} nodes lie within {_NEAREST:g} of the body's size of others, first {a}, "
+            f"{np.linalg.norm(points[a] - points[b]):.2g} from {b}: the body would come apart there; merge them "
+            "(gmsh: Coherence Mesh with Geometry.Tolerance; pyvista: grid.clean(tolerance=...)), or move the parts "
+            "farther apart"
         )
 
 

@@ -1,4 +1,4 @@
-"""Meshes from files that meshio reads, converted to one simplex mesh; a note reports every correction."""
+"""Meshes from files, converted to one simplex mesh; a note reports every correction and all that is left out."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -10,11 +10,13 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, join_names, shorten
-from pipeline.formats.meshio_reader import SIMPLEX_NAMES, CellBlock
+from pipeline.formats.plain_mesh import SIMPLEX_DIMENSIONS, SIMPLEX_NAMES, CellBlock, PlainMesh
 from pipeline.formats.preflight import find_refusal
 from pipeline.formats.sandbox import SHARED_READER
 from pipeline.mesh.cleanup import (
+    PLANAR,
     check_connectivity,
+    check_distances,
     check_points,
     drop_repeated_cells,
     drop_unused_nodes,
@@ -22,63 +24,90 @@ from pipeline.mesh.cleanup import (
 )
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 
-_NEEDED = "linear tetrahedra or planar triangles are needed"
+_NEEDED = "tetrahedra or planar triangles are needed"
 
 
 def read_mesh(path: str | PathLike[str], scale: float = 1.0) -> Mesh:
     """Return the tetrahedra of a file, or the triangles of a planar one, with points multiplied by scale.
 
-    The mesh's `notes` list every correction. Raises MeshError for a file that meshio cannot read, a surface,
-    higher-order or other solid cells, and for cells and points that cleanup.py refuses.
+    The mesh's `notes` list every correction. Raises MeshError for a file that cannot be read, a surface, other solid
+    cells, and for cells and points that cleanup.py refuses.
     """
     path = Path(path)
-    points, blocks, output = _read_blocks(path)
-    notes = [f"meshio says: {output}"] if output else []
+    plain = _read_plain(path)
     try:
-        points, cells, dropped = _find_simplices(points, blocks)
+        points, cells, dropped = _find_simplices(plain.points, plain.blocks)
         check_connectivity(points, cells)
         cells, repeated = drop_repeated_cells(cells)
+        body = np.repeat(np.arange(len(plain.bodies)), plain.bodies)[np.unique(cells)] if plain.bodies else None
         points, cells, unused = drop_unused_nodes(points, cells)
-        check_points(points)
-        points = _drop_z(points) if cells.shape[1] == 3 else points
+        check_points(points, body)
+        points, flattened = _drop_z(points) if cells.shape[1] == 3 else (points, [])
+        check_distances(points, body)
         cells, mirrored = orient_cells(points, cells)
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
-    notes += [*dropped, *repeated, *unused, *mirrored]
+    notes = [*plain.notes, *_note_regions(plain.regions), *dropped, *repeated, *unused, *flattened, *mirrored]
     return Mesh(points * scale, cells, name=str(path), notes=tuple(f"{path.name}: {note}" for note in notes))
 
 
-def _read_blocks(path: Path) -> tuple[Floats, list[CellBlock], str]:
-    """Return points, blocks of cells and meshio's printed output, read in a child process."""
+def _read_plain(path: Path) -> PlainMesh:
+    """Return the content of a file, read in a child process."""
     if not isfile(path):
         raise MeshError(f"{shorten(str(path), 500)}: no such mesh file")
     if not path.stat().st_size:
         raise MeshError(f"{path}: the file is empty")
     if reason := find_refusal(path):
         raise MeshError(f"{path}: {reason}")
-    points, blocks, output = SHARED_READER.read("pipeline.formats.meshio_reader:read_plain_mesh", path, error=MeshError)
-    return points, blocks, output
+    return PlainMesh(*SHARED_READER.read("pipeline.formats.mesh_readers:read_plain_mesh", path, error=MeshError))
+
+
+def _note_regions(regions: Sequence[str]) -> list[str]:
+    if len(regions) < 2:
+        return []
+    return [f"{len(regions)} regions ({join_names(regions)}) get the one material of the case"]
 
 
 def _find_simplices(points: Floats, blocks: Sequence[CellBlock]) -> tuple[Floats, Ints, list[str]]:
-    """Return points (n, 2 or 3), the simplices of the highest dimension and a note about dropped cells."""
+    """Return points (n, 2 or 3), the simplices of the highest dimension and notes on what is left out."""
     d = max((dimension for _, dimension, *_ in blocks), default=0)
-    top = {kind for kind, dimension, *_ in blocks if dimension == d}
-    if top != {SIMPLEX_NAMES.get(d)}:
-        raise MeshError(f"has {_join_kinds(kind for kind, *_ in blocks)}; {_NEEDED}{_find_remedy(top, d)}")
+    top = [block for block in blocks if block[1] == d]
+    kinds = {kind for kind, *_ in top}
+    if not kinds or any(SIMPLEX_DIMENSIONS.get(kind) != d for kind in kinds):
+        raise MeshError(f"has {_join_kinds(kind for kind, *_ in blocks)}; {_NEEDED}{_find_remedy(kinds, d)}")
     if points.ndim != 2 or points.shape[1] not in (d, 3):
         raise MeshError(f"points {points.shape} do not fit {CELL_NAMES[d]} cells")
-    cells = np.concatenate([nodes for _, dimension, _, nodes in blocks if dimension == d])
-    if cells.ndim != 2 or cells.shape[1] != d + 1:
-        raise MeshError(f"cells {cells.shape} are not {CELL_NAMES[d]} cells")
+    for kind, _, _, nodes in top:
+        if nodes.ndim != 2 or nodes.shape[1] < d + 1 or (kind == SIMPLEX_NAMES[d] and nodes.shape[1] != d + 1):
+            raise MeshError(f"cells {nodes.shape} are not {CELL_NAMES[d]} cells")
+    cells = np.concatenate([nodes[:, : d + 1] for *_, nodes in top])
+    notes = [_note_curved(points, nodes, d) for kind, _, _, nodes in top if kind != SIMPLEX_NAMES[d]]
     lower = Counter[str]()
     for kind, dimension, count, _ in blocks:
         if dimension < d:
             lower[kind] += count
-    if not lower:
-        return points, cells, []
     counts = ", ".join(f"{count} {kind}" for kind, count in sorted(lower.items()))
-    return points, cells, [f"cells of lower dimension were dropped: {counts}"]
+    return points, cells, [*notes, *([f"cells of lower dimension were dropped: {counts}"] if counts else [])]
+
+
+def _note_curved(points: Floats, cells: Ints, d: int) -> str:
+    """Return the note on cells of higher order; in VTK's order the nodes on sides follow the corners."""
+    text = (
+        f"{len(cells)} {CELL_NAMES[d]} cells of {cells.shape[1]} nodes are simulated by their corners; the nodes in "
+        "the middle of sides are left out"
+    )
+    sides = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)][: 3 if d == 2 else 6]
+    if cells.shape[1] != d + 1 + len(sides):
+        return text
+    check_connectivity(points, cells)
+    bend = 0.0
+    for k, (a, b) in enumerate(sides):
+        ends, middle = points[cells[:, [a, b]]], points[cells[:, d + 1 + k]]
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        with np.errstate(all="ignore"):  # sides of length zero are refused later
+            bend = max(bend, float(np.nanmax(np.linalg.norm(middle - ends.mean(axis=1), axis=1) / length)))
+    curved = f"; these lie up to {100 * bend:.2g} % of a side's length from its middle: sides become straight"
+    return text + (curved if bend > PLANAR else "")
 
 
 def _join_kinds(kinds: Iterable[str]) -> str:
@@ -89,19 +118,20 @@ def _find_remedy(kinds: set[str], d: int) -> str:
     """Return the remedy for cells of the highest dimension that are not all linear simplices."""
     if d < 2:
         return ""
-    if any(kind.startswith("VTK_LAGRANGE") or kind.strip("abcdefghijklmnopqrstuvwxyz") for kind in kinds):
-        return "; save it with cells of first order (gmsh: Mesh.ElementOrder = 1)"
     return f"; split the others into {SIMPLEX_NAMES[d]} cells (pyvista: grid.triangulate())"
 
 
-def _drop_z(points: Floats) -> Floats:
-    """Return the points of triangles without their third coordinate, which must be constant."""
+def _drop_z(points: Floats) -> tuple[Floats, list[str]]:
+    """Return the points of triangles without the third coordinate, which must be constant, and a note if it varies."""
     if points.shape[1] == 2:
-        return points
-    # coordinates computed in double precision differ by a few 1e-16 of their size
-    if np.ptp(points[:, 2]) > 1e-12 * float(np.abs(points).max()):
+        return points, []
+    varies = float(np.ptp(points[:, 2]))
+    if varies > PLANAR * float(np.ptp(points, axis=0).max()):
         raise MeshError(
             "triangles that do not lie in a plane of constant z are a surface; "
             f"fill it with {CELL_NAMES[3]} cells first (gmsh, tetgen, pyvista.delaunay_3d)"
         )
-    return np.ascontiguousarray(points[:, :2])
+    # coordinates computed in double precision differ by a few 1e-16 of their size
+    noise = varies > 1e-12 * float(np.abs(points).max())
+    note = [f"the coordinates along z vary by {varies:.2g} and are left out"] if noise else []
+    return np.ascontiguousarray(points[:, :2]), note

@@ -16,6 +16,8 @@ from pipeline.mesh.surface import find_boundary_faces
 from pipeline.stepping.state import State
 
 AXES = {"x": 0, "y": 1, "z": 2}
+_REACH = 1e-9  # of the size: coordinates of nodes on a plane are off by rounding, about 1e-16 of the size
+_NEAR = 1e-6  # of the size: single precision, or text of seven digits, takes nodes that far off a plane
 _FIRST_INSTANT = 1e-4  # of a step: the time over which the initial velocity of a prescribed motion is taken
 
 
@@ -31,7 +33,7 @@ def read_vector(case: Case, key: str, value: tuple[float, ...] | None, d: int) -
 def select_nodes(case: Case, key: str, selector: Any, mesh: Mesh) -> Ints:
     """Return the nodes that a selector of the case names; raises CaseError if there are none."""
     X = mesh.points
-    reach = 1e-9 * mesh.size  # coordinates of nodes on a plane are off by rounding, about 1e-16 of the size
+    reach = _REACH * mesh.size
     for name in ("plane", "below", "above"):
         chosen = getattr(selector, name)
         if chosen is not None and AXES[chosen if name == "plane" else chosen.axis] >= mesh.dimension:
@@ -54,6 +56,23 @@ def select_nodes(case: Case, key: str, selector: Any, mesh: Mesh) -> Ints:
         low, high = X.min(axis=0), X.max(axis=0)
         raise case.make_error(key, f"selects no node; the mesh spans {low.tolist()} to {high.tolist()}")
     return np.flatnonzero(mask)
+
+
+def note_near_nodes(case: Case, mesh: Mesh) -> list[str]:
+    """Return notes on planes of supports and tractions that miss nodes nearby, as rounded coordinates do."""
+    notes = []
+    for name, selectors in (("supports", case.supports), ("loads.traction", case.loads.traction)):
+        for i, selector in enumerate(selectors):
+            if selector.plane is None or selector.at is None:
+                continue
+            distances = np.abs(mesh.points[:, AXES[selector.plane]] - selector.at)
+            missed = int(((distances > _REACH * mesh.size) & (distances <= _NEAR * mesh.size)).sum())
+            if missed:
+                notes.append(
+                    f"{name}.{i}: {missed} more nodes lie within {_NEAR:g} of the body's size of that plane, and are "
+                    f"not on it; to take them: box, or round the coordinates along {selector.plane}"
+                )
+    return notes
 
 
 def _check_nodes(case: Case, key: str, nodes: tuple[int, ...], count: int) -> Ints:

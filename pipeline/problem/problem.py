@@ -19,6 +19,7 @@ from pipeline.problem.conditions import (
     make_initial_state,
     make_supports,
     make_varying_load,
+    note_near_nodes,
 )
 from pipeline.problem.methods import (
     INVERSIONS,
@@ -193,7 +194,7 @@ def _check_name(case: Case, key: str, name: str, table: Mapping[str, Any]) -> st
 
 
 def _list_notes(case: Case, mesh: Mesh) -> tuple[str, ...]:
-    notes = [*case.notes, *mesh.notes]
+    notes = [*case.notes, *mesh.notes, *note_near_nodes(case, mesh)]
     unused = [key for key in ("law", "rotation", "iterations") if f"method.{key}" in case.own_keys]
     traits = find_traits(case.method)
     if traits.chooses_model and unused:
