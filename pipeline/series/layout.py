@@ -5,37 +5,35 @@ nodes without cells, or mirrored cells. A note reports each of these decisions.
 """
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
-from pipeline.errors import MeshError, SeriesError, join_names, shorten
+from pipeline.errors import MeshError, SeriesError, shorten
 from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.formats.grid import Grid
-from pipeline.formats.readers import SUFFIXES
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.cleanup import orient_cells
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
-from pipeline.series.frame_files import read_grid
+from pipeline.series.displacement import SAME, Displacement, choose_displacement, collect_evidence
+from pipeline.series.rest_state import FIELD, choose_rest_points, read_rest_file
 
-_DISPLACEMENTS = {"displacement", "displacements", "disp", "u", "deformation"}  # compared in lower case
-# vector fields that are not displacements
-_OTHERS = ("velocity", "veloc", "acceler", "force", "normal", "reaction", "load", "momentum", "traction", "rest_")
 _LARGEST = 1e75  # [m]: volumes of larger bodies would overflow; larger coordinates count as not finite
 _PLANAR = 1e-6  # of the size: rounding to single precision leaves a few 1e-7 of it
 
 
 @dataclass(frozen=True)
 class Options:
-    """The caller's choices: the displacement field ("none" for deformed points) and the rest state.
+    """The caller's choices of the displacement field and the rest state.
 
-    `rest` is "first", "rest_position", "points" or the path of a file. None means the first of these that exists:
-    the field rest_position, the points if a displacement field is added to them, the first frame.
+    `displacement` is a point field, scalar fields ("ux,uy,uz"), or "none" if the points are the motion.
+    `rest` is "first" (frame), "points" (of the first frame), "subtract" (these minus the displacement), a point field
+    such as "rest_position", or the path of a file. None means that the evidence decides: the field rest_position, the
+    points if they rest, points minus displacement if the first frame is displaced, else the first frame.
     """
 
     displacement: str | None = None
@@ -61,16 +59,20 @@ class Arrangement(NamedTuple):
 class SeriesLayout:
     """How frames become positions on one mesh.
 
-    `arrangement` says where the first frame has the nodes and cells of the mesh; `displacement` names the field that is
-    added to the points.
+    `arrangement` says where the first frame has the nodes and cells of the mesh; `motion` says which field is the
+    displacement, and whether it is added to the points.
     """
 
     mesh: BodyMesh
     arrangement: Arrangement
-    displacement: str | None
+    motion: Displacement
     grid: Grid  # points and cells of the first frame, without fields
     notes: tuple[str, ...]
-    guessed: bool  # the displacement was found by its name
+
+    @property
+    def displacement(self) -> str | None:
+        """Return the label of the field that is added to the points."""
+        return self.motion.field.label if self.motion.field is not None and self.motion.is_added else None
 
     def arrange(self, grid: Grid, where: str) -> Arrangement:
         """Return where a frame has the nodes and cells of the mesh; raises SeriesError if it does not have them."""
@@ -88,18 +90,8 @@ class SeriesLayout:
 
     def compute_positions(self, grid: Grid, where: str) -> Floats:
         """Return the positions of a frame (n, d); raises SeriesError if they do not fit this mesh."""
-        arrangement = self.arrange(grid, where)
-        if self.guessed and not np.array_equal(grid.points, self.grid.points):
-            field = shorten(self.displacement or "")
-            raise SeriesError(
-                f"{where}: the points move, unlike those of the first, the middle and the last frame: say whether "
-                f'displacement = "{field}" must be added to them, or "none"'
-            )
-        points = add_displacement(grid, self.displacement, where)
-        points = arrangement.select_nodes(points)
-        bad = np.flatnonzero(~(np.abs(points) < _LARGEST).all(axis=1))  # negated so that NaN counts too
-        if bad.size:
-            raise SeriesError(f"{where}: {bad.size} points are not finite, first {self.find_point(bad[0])}")
+        points = self.arrange(grid, where).select_nodes(add_displacement(grid, self.motion, self.grid, where))
+        points[~(np.abs(points) < _LARGEST).all(axis=1)] = np.nan  # negated so that NaN counts too
         return drop_z(points, where) if self.mesh.dimension == 2 else np.ascontiguousarray(points)
 
     def find_point(self, node: int) -> int:
@@ -115,16 +107,23 @@ def have_same_cells(a: Grid, b: Grid) -> bool:
     return a.count == b.count and np.array_equal(a.types, b.types) and np.array_equal(a.connectivity, b.connectivity)
 
 
-def add_displacement(grid: Grid, displacement: str | None, where: str) -> Floats:
-    """Return the deformed points of a grid (n, 3)."""
-    if displacement is None:
-        return grid.points
-    if displacement not in grid.point_data:
-        raise SeriesError(f"{where}: no point field {shorten(displacement)}; it has {_join_fields(grid.point_data)}")
-    field = np.asarray(grid.point_data[displacement], dtype=np.float64)
-    if field.ndim != 2 or field.shape[1] not in (2, 3):
-        raise SeriesError(f"{where}: the point field {shorten(displacement)} {field.shape} is not a vector field")
-    return grid.points + np.pad(field, [(0, 0), (0, 3 - field.shape[1])])
+def add_displacement(grid: Grid, motion: Displacement, first: Grid, where: str) -> Floats:
+    """Return the deformed points of a grid (n, 3), a new array.
+
+    Raises SeriesError if the points of a series whose displacement is added move themselves.
+    """
+    points = np.array(grid.points)
+    if motion.field is None or not motion.is_added:
+        return points
+    moved = motion.field.read(grid)
+    if grid.count == first.count and not np.array_equal(points, first.points):
+        strayed, most = np.nanmax(np.abs(points - first.points)), np.nanmax(np.abs(moved))
+        if strayed > SAME * max(most, float(np.ptp(first.points))):
+            raise SeriesError(
+                f"{where}: the points move by up to {strayed:.3g}, unlike those of the frames that were compared: say "
+                f'whether displacement = "{shorten(motion.field.label)}" must be added to them, or "none"'
+            )
+    return points + moved
 
 
 def drop_z(points: Floats, where: str) -> Floats:
@@ -137,12 +136,18 @@ def drop_z(points: Floats, where: str) -> Floats:
 def infer_layout(first: Grid, read: Callable[[int], Grid], count: int, options: Options, where: str) -> SeriesLayout:
     """Return the layout of a series of `count` frames from the first one; raises SeriesError if it is ambiguous.
 
-    `read` may be called for the middle and the last frame.
+    `read` is called for a few other frames, and for all of them if these show neither a motion nor a displacement.
     """
     dimension, chosen, cell_notes = _select_cells(first, where)
-    displacement, displacement_notes = _choose_displacement(first, read, count, options, where)
+    from_file = read_rest_file(options.rest, first, where)
+    if FIELD in first.point_data and options.displacement is None:
+        motion = Displacement(None, False, False)
+    else:
+        evidence = collect_evidence(first, read, count, from_file)
+        included = {"points": False, "subtract": True}.get(str(options.rest))
+        motion = choose_displacement(evidence, options.displacement, where, included=included)
     cells = first.select_cells(CELL_TYPES[dimension])
-    rest, rest_notes = _choose_rest_points(first, displacement, options, where)
+    rest, rest_notes = choose_rest_points(first, motion, options.rest, from_file, where)
     used = np.zeros(len(rest), dtype=bool)
     used[cells] = True
     nodes = None if used.all() else np.flatnonzero(used)
@@ -157,9 +162,8 @@ def infer_layout(first: Grid, read: Callable[[int], Grid], count: int, options: 
         raise SeriesError(f"rest state: {error}") from error
     bare = Grid(first.points, first.count, first.types, first.offsets, first.connectivity, {}, {}, {})
     arrangement = Arrangement(nodes, None if chosen.all() else np.flatnonzero(chosen))
-    guessed = displacement is not None and options.displacement is None
-    notes = (*cell_notes, *displacement_notes, *rest_notes, *orientation_notes)
-    return SeriesLayout(mesh, arrangement, displacement, bare, notes, guessed)
+    notes = (*cell_notes, *motion.notes, *rest_notes, *orientation_notes)
+    return SeriesLayout(mesh, arrangement, motion, bare, notes)
 
 
 def _select_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], tuple[str, ...]]:
@@ -183,60 +187,3 @@ def _select_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], tuple
     others = [name for kind, name in names.items() if kind != CELL_TYPES[d]]
     notes = (f"cells other than {CELL_NAMES[d]} cells are not measured: {', '.join(others)}",) if others else ()
     return d, grid.types == CELL_TYPES[d], notes
-
-
-def _choose_displacement(
-    first: Grid, read: Callable[[int], Grid], count: int, options: Options, where: str
-) -> tuple[str | None, tuple[str, ...]]:
-    """Return the displacement field to add to the points, or None if the points themselves move, and a note."""
-    if options.displacement is not None:
-        if options.displacement == "none":
-            return None, ()
-        add_displacement(first, options.displacement, where)
-        return options.displacement, ()
-    if "rest_position" in first.point_data:
-        return None, ()
-    points = first.points
-    if any(not np.array_equal(read(i).points, points) for i in sorted({count // 2, count - 1} - {0})):
-        return None, ()
-    vectors = [n for n, a in first.point_data.items() if a.ndim == 2 and a.shape[1] in (2, 3)]
-    named = [name for name in vectors if name.lower() in _DISPLACEMENTS]
-    if len(named) == 1:
-        return named[0], (f"the points do not move; the field {named[0]} is taken as the displacement",)
-    candidates = named or [name for name in vectors if not any(word in name.lower() for word in _OTHERS)]
-    if candidates:
-        raise SeriesError(
-            f"{where}: the points do not move, and the displacement may be any of {_join_fields(candidates)}: "
-            'say which (displacement = NAME), or displacement = "none" if the body is at rest'
-        )
-    return None, ("the points do not move and there is no displacement field",) if count > 1 else ()
-
-
-def _choose_rest_points(
-    first: Grid, displacement: str | None, options: Options, where: str
-) -> tuple[Floats, tuple[str, ...]]:
-    """Return the points of the rest state (n, 3), and a note if they are a guess."""
-    rest = options.rest
-    if rest is None:
-        rest = "rest_position" if "rest_position" in first.point_data else "points" if displacement else "first"
-        if rest == "first":
-            return first.points, ("the rest state is the first frame",)
-    if rest == "first":
-        return add_displacement(first, displacement, where), ()
-    if rest == "points":
-        return first.points, ()
-    if rest == "rest_position":
-        if "rest_position" not in first.point_data:
-            raise SeriesError(f"{where}: no point field rest_position; it has {_join_fields(first.point_data)}")
-        return np.asarray(first.point_data["rest_position"], dtype=np.float64), ()
-    file = Path(rest)
-    if file.suffix not in SUFFIXES:
-        raise SeriesError(f"rest state {file}: must be a file ({', '.join(SUFFIXES)}), first, points or rest_position")
-    grid = read_grid(file)
-    if not have_same_cells(grid, first):
-        raise SeriesError(f"{where}: its cells are not those of the rest state {file}")
-    return grid.points, ()
-
-
-def _join_fields(names: Iterable[str]) -> str:
-    return join_names(sorted(names)) or "none"

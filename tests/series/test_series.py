@@ -200,7 +200,7 @@ def write_xdmf(path, data_format="XML"):
 def test_read_xdmf(tmp_path):
     series = read_series(write_xdmf(tmp_path / "a.xdmf"))
     assert_grows(series)
-    assert any("field u is taken" in note for note in series.notes)
+    assert any("u is taken" in note for note in series.notes)
 
 
 def test_xdmf_with_hdf5_names_the_missing_package(tmp_path, in_process, monkeypatch):
@@ -234,23 +234,22 @@ def test_a_displacement_field_is_added_to_points_that_do_not_move(tmp_path):
     assert measure(still.read_frame(2))["volume_ratio"] == pytest.approx(1.0)
 
 
-def test_points_that_move_only_between_the_inspected_frames_are_an_error(tmp_path):
+def test_points_that_move_only_between_the_first_the_middle_and_the_last_frame_are_found(tmp_path):
     times = [0.0, 1.0, 2.0, 3.0, 4.0]
     for i in range(5):
         grid = make_grid(i % 2)
         grid.point_data["displacement"] = move_points(i % 2) - POINTS
         grid.save(tmp_path / f"f{i}.vtu")
     path = write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(times)])
-    with pytest.raises(SeriesError, match="t = 1 s: the points move"):
-        list(read_series(path))
-    ratios = [measure(frame)["volume_ratio_mean"] for frame in read_series(path, displacement="none")]
-    assert ratios == pytest.approx([1, 1.5**3, 1, 1.5**3, 1])
+    for options in ({}, {"displacement": "none"}, {"displacement": "displacement"}):
+        ratios = [measure(frame)["volume_ratio_mean"] for frame in read_series(path, **options)]
+        assert ratios == pytest.approx([1, 1.5**3, 1, 1.5**3, 1])
 
 
 def test_an_ambiguous_displacement_must_be_named(tmp_path):
     for i, t in enumerate(TIMES):
         grid = make_grid(t, field="u_h")
-        grid.point_data["strange"] = move_points(t)
+        grid.point_data["strange"] = 2 * (move_points(t) - POINTS)
         grid.point_data["velocity"] = move_points(t)
         grid.save(tmp_path / f"f{i}.vtu")
     path = write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
@@ -342,15 +341,10 @@ def test_times_are_sorted_and_repeated_ones_left_out(tmp_path):
     assert "1 frames have the time of a later one" in series.notes[0]
 
 
-def test_changing_topology_points_that_are_not_finite_and_flat_cells_are_errors(tmp_path):
+def test_changing_topology_and_flat_cells_are_errors(tmp_path):
     path = write_series(tmp_path)
     pyvista.UnstructuredGrid({10: CELLS[:-1]}, move_points(0.1)).save(tmp_path / "f1.vtu")
     with pytest.raises(SeriesError, match="topology changes"):
-        list(read_series(path))
-    points = move_points(0.1)
-    points[3] = np.nan
-    make_grid(0, points=points).save(tmp_path / "f1.vtu")
-    with pytest.raises(SeriesError, match=r"t = 0.1 s: 1 points are not finite, first 3"):
         list(read_series(path))
     flat = POINTS.copy()
     flat[:, 2] = 0
