@@ -11,7 +11,9 @@ from pipeline.formats.grid import CellArray
 from pipeline.mesh.blocks import KindBlock, check_types, split_blocks
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.cell_kinds import TYPES
+from pipeline.mesh.faceted import FacetedCells, collect_faceted
 from pipeline.mesh.rest_cells import RestBlock, measure_block, prepare_block, share_among_nodes
+from pipeline.mesh.rest_facets import RestFacets, measure_facets, prepare_facets, share_among_corners
 from pipeline.mesh.simplex import signed_volumes
 
 _LARGEST = 1e30  # [m], as for simplices
@@ -69,6 +71,16 @@ class CellMesh:
         local = self.find_local(self.points)
         return tuple(prepare_block(local, block) for block in self.blocks)
 
+    @cached_property
+    def faceted(self) -> FacetedCells | None:
+        """Return the cells that have only faces, if there are any."""
+        return collect_faceted(self.points, self.cell_array, self.dimension, self.name)
+
+    @cached_property
+    def rest_facets(self) -> RestFacets | None:
+        """Return the rest state of the cells that have only faces; computed once."""
+        return None if self.faceted is None else prepare_facets(self.find_local(self.points), self.faceted)
+
     def find_local(self, points: Floats) -> Floats:
         """Return points (n, c) in the coordinates of the plane, if there is one."""
         return points if self.plane is None else np.ascontiguousarray(points @ self.plane.T)
@@ -76,7 +88,7 @@ class CellMesh:
     @cached_property
     def rest_volumes(self) -> Floats:
         """Return the rest volume of every cell (e,) [m3; m2 if the dimension is 2]."""
-        return measure_volumes(self.points, self.cell_array, self.dimension, self.plane)
+        return measure_volumes(self.points, self.cell_array, self.dimension, self.plane, name=self.name)
 
     @cached_property
     def node_volumes(self) -> Floats:
@@ -87,6 +99,8 @@ class CellMesh:
             # surfaces are integrated with more points here: their sum is made that of the volumes
             shares *= (self.rest_volumes[block.cells] / shares.sum(axis=1))[:, None]
             total += np.bincount(block.connectivity.ravel(), shares.ravel(), minlength=len(total))
+        if self.faceted is not None:
+            total += share_among_corners(local, self.faceted, len(total))
         return total
 
     @cached_property
@@ -104,10 +118,13 @@ class CellMesh:
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
 
 
-def measure_volumes(points: Floats, cell_array: CellArray, dimension: int, plane: Floats | None = None) -> Floats:
+def measure_volumes(
+    points: Floats, cell_array: CellArray, dimension: int, plane: Floats | None = None, *, name: str = "mesh"
+) -> Floats:
     """Return the signed volume (e,) of every cell at points (n, 2) or (n, 3), NaN for those of another dimension.
 
-    Areas are signed in the plane of z or in `plane`; those of surfaces in space are positive.
+    Areas are signed in the plane of z or in `plane`; those of surfaces in space, and volumes of polyhedra, are positive.
+    Raises MeshError, which begins with `name`, for polyhedra whose faces do not enclose a volume.
     """
     local = points if plane is None else np.ascontiguousarray(points @ plane.T)
     volumes = np.full(len(cell_array.types), np.nan)
@@ -121,6 +138,9 @@ def measure_volumes(points: Floats, cell_array: CellArray, dimension: int, plane
             if simple
             else measure_block(local, block, "surface" if surface else "volume")
         )
+    faceted = collect_faceted(points, cell_array, dimension, name)
+    if faceted is not None:
+        volumes[faceted.cells] = measure_facets(local, faceted)
     return volumes
 
 
@@ -155,6 +175,12 @@ def _list_notes(mesh: CellMesh) -> tuple[str, ...]:
     folded = np.concatenate(nothing + [rest.block.cells[rest.folded_cells] for rest in mesh.rest_blocks])
     flat = np.concatenate(nothing + [rest.block.cells[rest.degenerate_cells] for rest in mesh.rest_blocks])
     notes = []
+    if mesh.faceted is not None:
+        name = "polyhedra or prisms" if mesh.dimension == 3 else "polygons"
+        notes.append(
+            f"{len(mesh.faceted.cells)} {name} are measured by their faces, fanned about their centers; their rotation "
+            "is that of the least-squares fit to their points"
+        )
     if folded.size:
         notes.append(
             f"{folded.size} cells are folded at rest (first {folded.min()}): their volumes are positive, but their "

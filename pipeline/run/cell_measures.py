@@ -9,6 +9,7 @@ from pipeline.fem.kernels import volumes_and_angles as simplex_kernels
 from pipeline.fem.rotation import angle, polar
 from pipeline.mesh.cell_mesh import CellMesh
 from pipeline.mesh.rest_cells import RestBlock
+from pipeline.mesh.rest_facets import RestFacets
 from pipeline.mesh.simplex import Mesh, signed_volumes
 
 _AT_A_TIME = 8192  # tetrahedra
@@ -26,6 +27,8 @@ def measure_any_cells(mesh: CellMesh, x: Floats) -> Measures:
     local = mesh.find_local(x)
     for rest in mesh.rest_blocks:
         _measure_block(mesh, rest, local, outputs)
+    if mesh.rest_facets is not None:
+        _measure_facets(mesh.rest_facets, local, outputs)
     return outputs
 
 
@@ -44,6 +47,21 @@ def _measure_block(mesh: CellMesh, rest: RestBlock, x: Floats, outputs: Measures
         cell_kernels.measure_planar(x, *place, *outputs)
     else:
         cell_kernels.measure_solids(x, *place, *outputs)
+
+
+def _measure_facets(rest: RestFacets, x: Floats, outputs: Measures) -> None:
+    """Write the measures of polyhedra or polygons into the outputs."""
+    from pipeline.fem.kernels import facets as facet_kernels
+
+    cells = rest.faceted
+    place = (cells.cells, cells.starts, cells.nodes)
+    if cells.dimension == 3:
+        faces = (cells.face_starts, cells.corner_starts, cells.corners)
+        facet_kernels.measure_polyhedra(x, *place, *faces, rest.inverse, rest.gradients, *outputs)
+    elif len(rest.normals):
+        facet_kernels.measure_polygons_in_space(x, *place, rest.inverse, rest.gradients, rest.normals, *outputs)
+    else:
+        facet_kernels.measure_planar_polygons(x, *place, rest.inverse, rest.gradients, *outputs)
 
 
 def _measure_tetrahedra(mesh: CellMesh, rest: RestBlock, x: Floats, outputs: Measures) -> None:

@@ -59,7 +59,7 @@ def _store(cells, first, count, total, low, high, volumes, ratio_min, ratio_max)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _store_angles(cells, first, count, total, R, angles):
+def store_angles(cells, first, count, total, R, angles):
     """Write the angles of the rotations R (9, LANES): 2 sin and 2 cos are |axial(R - R^T)| and tr R - 1."""
     for l in range(count):
         a0, a1, a2 = R[7, l] - R[5, l], R[2, l] - R[6, l], R[3, l] - R[1, l]
@@ -104,7 +104,7 @@ def measure_solids(
         _average(X, gradients, first, count, F)
         find_polar_rotations(F, count, R, root, good, C)
         _store(cells, first, count, total, low, high, volumes, ratio_min, ratio_max)
-        _store_angles(cells, first, count, total, R, angles)
+        store_angles(cells, first, count, total, R, angles)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -168,4 +168,4 @@ def measure_surfaces(
         F += P
         find_polar_rotations(F, count, R, root, good, C)
         _store(cells, first, count, total, low, high, volumes, ratio_min, ratio_max)
-        _store_angles(cells, first, count, total, R, angles)
+        store_angles(cells, first, count, total, R, angles)
