@@ -251,7 +251,8 @@ def test_parts_of_a_dataset(tmp_path, how):
         f'<Geometry Type="XYZ"><DataItem DataType="Float" Dimensions="1 {n} 3" Format="HDF" Precision="8">'
         f"a.h5:/meshes/m/geometry|0 0 0:1 1 1:1 {n} 3:1 {n} 3</DataItem></Geometry>"
         f'<Topology Type="Tetrahedron" NumberOfElements="{len(CELLS)}" Dimensions="{len(CELLS)}">'
-        f'<DataItem DataType="UInt" Dimensions="{e}" Format="HDF" Precision="8">a.h5:/meshes/m/topology|0:1:{e}:{e}</DataItem></Topology>'
+        f'<DataItem DataType="UInt" Dimensions="{e}" Format="HDF" Precision="8">a.h5:/meshes/m/topology|0:1:{e}:{e}'
+        "</DataItem></Topology>"
     )
     start = (
         '<Attribute Center="Node" ElementCell="" ElementDegree="0" ElementFamily="" ItemType="" Name="u" '
