@@ -1,6 +1,7 @@
 """One grid of several: blocks, partitions and pieces of a body at one instant."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,26 @@ def join_blocks(grids: Sequence[Grid], names: Sequence[str]) -> Grid:
         tuple(grid.count for grid in grids),
         tuple(names),
         tuple(notes),
+    )
+
+
+def join_by_number(grids: Sequence[Grid], names: Sequence[str], number: str) -> Grid:
+    """Return one grid of blocks that share points: equal values of the point field `number` are one point.
+
+    The points are in the order of these numbers; the field itself is left out.
+    """
+    joined = join_blocks(grids, names)
+    numbers, first, inverse = np.unique(joined.point_data[number], return_index=True, return_inverse=True)
+    faces = joined.faces
+    return replace(
+        joined,
+        stored_points=joined.points[first],
+        count=len(numbers),
+        connectivity=inverse[joined.connectivity],
+        point_data={name: values[first] for name, values in joined.point_data.items() if name != number},
+        faces=None if faces is None else faces._replace(connectivity=inverse[faces.connectivity]),
+        parts=(),
+        part_names=(),
     )
 
 

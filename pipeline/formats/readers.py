@@ -1,44 +1,85 @@
-"""Every format that frames are read from: one row per file suffix.
+"""Every format that frames are read from: one row per format.
 
 These readers run in the calling process, which a damaged file can crash, so foreign files are read through the sandbox.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pipeline.errors import SeriesError, shorten
 from pipeline.formats.grid import Grid, PolyhedronFaces
-from pipeline.formats.vtk_readers import read_legacy_times, read_vtk, read_vtk_times
+from pipeline.formats.vtk_readers import LEGACY, VTKHDF, XML_READERS, VtkReader, read_legacy_times
+from pipeline.formats.vtk_solvers import CGNS, DYNA, ENSIGHT, EXODUS, OPENFOAM
 from pipeline.formats.xdmf import read_xdmf, read_xdmf_times
 
 
 class FrameReader(NamedTuple):
-    """Reads one instant of a file, and the times [s] stored in it (None if there are none)."""
+    """Reads one instant of a file, and the times [s] stored in it (None if there are none).
 
+    `names` are suffixes, or whole names of files without one. `has_steps`: one file holds a whole series. `package`
+    must be installed for it. `spread`: its numbers are in other files beside it. `tested` names the programs that
+    wrote the files of the tests.
+    """
+
+    names: tuple[str, ...]
+    description: str
     read: Callable[[Path, int], Grid]
     read_times: Callable[[Path], list[float] | None]
-    has_steps: bool = False  # one file holds a whole series
+    has_steps: bool = False
+    programs: str = ""
+    package: str = ""
+    spread: bool = False
+    tested: str = ""
 
 
-READERS: Mapping[str, FrameReader] = {
-    ".vtu": FrameReader(read_vtk, read_vtk_times),
-    ".pvtu": FrameReader(read_vtk, read_vtk_times),
-    ".vtk": FrameReader(read_vtk, read_legacy_times),
-    ".vtp": FrameReader(read_vtk, read_vtk_times),
-    ".vtkhdf": FrameReader(read_vtk, read_vtk_times, has_steps=True),
-    ".xdmf": FrameReader(read_xdmf, read_xdmf_times, has_steps=True),
-    ".xmf": FrameReader(read_xdmf, read_xdmf_times, has_steps=True),
-}
-SUFFIXES = tuple(suffix for suffix, row in READERS.items() if not row.has_steps)
-TEMPORAL_SUFFIXES = tuple(suffix for suffix, row in READERS.items() if row.has_steps)
+def _use_vtk(names: str, description: str, reader: VtkReader, programs: str = "", **more: Any) -> FrameReader:
+    return FrameReader(tuple(names.split()), description, reader.read, reader.read_times, programs=programs, **more)
+
+
+_XML_NAMES = {
+    ".vtu": "VTK unstructured grid", ".vtp": "VTK surface", ".vts": "VTK structured grid",
+    ".vtr": "VTK rectilinear grid", ".vti": "VTK image", ".pvtu": "VTK unstructured grid in pieces",
+}  # fmt: skip
+FORMATS = (
+    *(
+        _use_vtk(suffix, _XML_NAMES[suffix], reader, "most solvers", spread=suffix == ".pvtu")
+        for suffix, reader in XML_READERS.items()
+    ),
+    FrameReader((".vtk",), "VTK legacy", LEGACY.read, read_legacy_times, programs="Kratos, SfePy, SOFA"),
+    _use_vtk(".vtkhdf .hdf", "VTKHDF", VTKHDF, "VTK, ParaView, this program", has_steps=True),
+    FrameReader(
+        (".xdmf", ".xmf"), "XDMF 2 and 3", read_xdmf, read_xdmf_times, has_steps=True,
+        programs="FEniCS, felupe, scikit-fem, OpenGeoSys", package="h5py", spread=True,
+    ),
+    _use_vtk(".e .ex2 .exo .exodus", "Exodus II", EXODUS, "MOOSE, Sierra, Cubit, libMesh", has_steps=True),
+    _use_vtk(".case .encas", "EnSight", ENSIGHT, "Ansys, STAR-CCM+, Code_Saturne", has_steps=True, spread=True),
+    _use_vtk("d3plot", "LS-DYNA d3plot", DYNA, "LS-DYNA", has_steps=True, spread=True),
+    _use_vtk(".foam", "OpenFOAM case", OPENFOAM, "OpenFOAM, solids4foam", has_steps=True, spread=True),
+    _use_vtk(".cgns", "CGNS", CGNS, "CFD programs", has_steps=True),
+)  # fmt: skip
+READERS = {name: row for row in FORMATS for name in row.names}
+SUFFIXES = tuple(name for name, row in READERS.items() if not row.has_steps)
+TEMPORAL_SUFFIXES = tuple(name for name, row in READERS.items() if row.has_steps and name.startswith("."))
+TEMPORAL_NAMES = tuple(name for name, row in READERS.items() if row.has_steps and not name.startswith("."))
+
+
+def find_format(file: Path) -> FrameReader | None:
+    """Return the row of a file's name or suffix, None if there is none."""
+    return READERS.get(file.name) or READERS.get(file.suffix)
+
+
+def is_temporal(file: Path) -> bool:
+    """Return whether a file of this name holds a whole series."""
+    row = find_format(file)
+    return row is not None and row.has_steps
 
 
 def read_grid(file: Path, step: int = 0) -> Grid:
-    """Return one instant of a file; raises SeriesError if it cannot be read or is not an unstructured grid."""
+    """Return one instant of a file; raises SeriesError if it cannot be read or has no cells."""
     if not file.is_file():
         raise SeriesError(f"{file}: no such file")
-    return _find_reader(file).read(file, step)
+    return _require_format(file).read(file, step)
 
 
 def read_plain_grid(file: Path, step: int) -> tuple[Any, ...]:
@@ -59,11 +100,12 @@ def make_plain_grid(fields: tuple[Any, ...]) -> Grid:
 
 def read_times(file: Path) -> list[float] | None:
     """Return the times [s] stored in a file, None if there are none; raises SeriesError."""
-    return _find_reader(file).read_times(file)
+    return _require_format(file).read_times(file)
 
 
-def _find_reader(file: Path) -> FrameReader:
-    if file.suffix not in READERS:
+def _require_format(file: Path) -> FrameReader:
+    row = find_format(file)
+    if row is None:
         suffix = shorten(file.suffix) or "a file without suffix"
         raise SeriesError(f"{file}: there is no reader for {suffix}; choose from {', '.join(READERS)}")
-    return READERS[file.suffix]
+    return row
