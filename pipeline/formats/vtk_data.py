@@ -111,7 +111,7 @@ def _read_faces(grid: Any, file: Path) -> PolyhedronFaces:
     nodes, offsets = _unpack(faces)
     if numbers.size and (numbers.min() < 0 or numbers.max() >= len(offsets) - 1):
         raise SeriesError(f"{file}: a polyhedron refers to face {numbers.max()} of {len(offsets) - 1}")
-    if nodes.size and (nodes.min() < 0 or nodes.max() >= grid.n_points) or len(cell_offsets) != grid.n_cells + 1:
+    if (nodes.size and (nodes.min() < 0 or nodes.max() >= grid.n_points)) or len(cell_offsets) != grid.n_cells + 1:
         raise SeriesError(f"{file}: the faces of its polyhedra do not fit its points and cells")
     sizes = np.diff(offsets)[numbers]
     chosen = np.repeat(offsets[numbers] - np.concatenate([[0], np.cumsum(sizes)[:-1]]), sizes) + np.arange(sizes.sum())

@@ -18,9 +18,9 @@ from pipeline.formats.vtk_data import make_grid
 class VtkReader(NamedTuple):
     """One of VTK's readers: its module and class, what is set before it reads, and how it takes a step.
 
-    `by_number` sets a step by its number, so that equal times stay apart; otherwise the time is requested. `node_number`
-    is the point field that tells the points that blocks share. `dropped` names fields that repeat others. `listens` takes
-    what VTK prints as an error too.
+    `by_number` sets a step by its number, so that equal times stay apart; otherwise the time is requested.
+    `node_number` is the point field that tells the points that blocks share. `dropped` names fields that repeat
+    others. `listens` takes what VTK prints as an error too.
     """
 
     module: str

@@ -26,9 +26,8 @@ def _set_up_ensight(reader: Any, file: Path) -> None:
 
 
 def _set_up_openfoam(reader: Any, file: Path) -> None:
-    """Fields are read where OpenFOAM has them, polyhedra as such, the first time too, and no boundaries."""
+    """Fields are read where OpenFOAM has them, the first time too, and no boundaries."""
     reader.SetCreateCellToPoint(0)
-    reader.SetDecomposePolyhedra(0)
     reader.SetSkipZeroTime(False)
     reader.SetListTimeStepsByControlDict(0)
     if not (file.parent / "constant" / "polyMesh").is_dir() and (file.parent / "processor0").is_dir():
@@ -63,6 +62,7 @@ EXODUS = VtkReader(
     _set_up_exodus,
     by_number="SetTimeStep",
     node_number="ImplicitNodeId",
+    dropped=("PedigreeNodeId", "PedigreeElementId", "ElementBlockIds", "Title"),
     listens=True,
 )
 ENSIGHT = VtkReader("vtkIOEnSight", "vtkGenericEnSightReader", _set_up_ensight, listens=True)

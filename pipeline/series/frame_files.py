@@ -51,7 +51,7 @@ def find_fault(file: Path) -> str | None:
         return "is missing"
     if not S_ISREG(status.st_mode):
         return "is missing"
-    if not status.st_size:
+    if not status.st_size and file.suffix != ".foam":  # its name stands for a folder
         return "is empty"
     if name.endswith((".vtu", ".pvtu", ".vtp")):
         if b"</VTKFile>" in _read_end(name, status.st_size):

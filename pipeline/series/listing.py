@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.pvd import INDEX_SUFFIXES, read_index
-from pipeline.formats.readers import SUFFIXES, TEMPORAL_SUFFIXES
+from pipeline.formats.readers import SUFFIXES, is_temporal
 from pipeline.series.frame_files import find_fault, read_times
 from pipeline.series.run_folder import find_unlisted_frames, is_own
 
@@ -79,7 +79,7 @@ def _find_index(path: Path) -> Path:
     for name in _OWN:
         if (path / name).exists():
             return path / name
-    indices = sorted(file for file in path.iterdir() if file.suffix in (*INDEX_SUFFIXES, *TEMPORAL_SUFFIXES))
+    indices = sorted(file for file in path.iterdir() if file.suffix in INDEX_SUFFIXES or is_temporal(file))
     if len(indices) > 1:
         raise SeriesError(f"{path}: holds several series; name one of {join_names(file.name for file in indices)}")
     return indices[0] if indices else path
@@ -95,7 +95,7 @@ def _list_members(index: Path) -> tuple[list[Member], list[str]]:
         raise SeriesError(f"{index}: no series there (No such file or directory)")
     if index.suffix in INDEX_SUFFIXES:
         return [Member(time, file) for time, file in read_index(index)], []
-    if index.suffix in TEMPORAL_SUFFIXES:
+    if is_temporal(index):
         times = read_times(index) or [0.0]
         return [Member(time, index, step) for step, time in enumerate(times)], []
     return _list_numbered(index, [index])
