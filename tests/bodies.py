@@ -141,5 +141,5 @@ def assert_conventional(dataset: xarray.Dataset) -> None:
         bare = [name for name, variable in dataset.variables.items() if not variable.attrs.get(key)]
         bare = [name for name in bare if key == "long_name" or dataset[name].dtype == np.float64]
         assert bare == [], f"without {key}: {bare}"
-    filled = [name for name in dataset.indexes if "_FillValue" in dataset[name].encoding]
+    filled = [name for name in dataset.indexes if dataset[name].encoding.get("_FillValue") is not None]
     assert filled == [], f"coordinates with a fill value, which CF appendix A forbids: {filled}"

@@ -133,8 +133,8 @@ class DeformationAccessor:
                 f"{values.name} is a field of neither nodes nor cells: {', '.join(map(str, values.dims))}"
             )
         out = out.transpose("time", "point", ...) if "time" in out.dims else out.transpose("point", ...)
-        attributes = {name: value for name, value in values.attrs.items() if name not in ("mesh", "location")}
-        return out.rename(values.name).assign_attrs(attributes)
+        out.attrs = {name: value for name, value in values.attrs.items() if name not in ("mesh", "location")}
+        return out.rename(values.name)
 
     def extract(self, cells: Any) -> "xarray.Dataset":
         """Return the dataset restricted to some cells, chosen by indices or a mask, and to their nodes."""

@@ -15,7 +15,9 @@ from pipeline.errors import MeshError, SeriesError
 from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.formats.grid import CellArray, PolyhedronFaces
 from pipeline.mesh.body_mesh import BodyMesh
+from pipeline.mesh.cell_kinds import TYPES
 from pipeline.mesh.cell_mesh import CellMesh
+from pipeline.mesh.shape_functions import find_kind
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.measures import AXES, pad_to_space
 
@@ -31,20 +33,8 @@ RESERVED = frozenset(
     {"time", "node", "cell", "axis", "corner", "quantile", "step_of_frame", "displacement", "rest_position",
      "connectivity", "cell_type", "mesh", *NODE_COORDINATES}
 )  # fmt: skip
-# names of the kinds, as in flag_meanings, for the numbers of vtkCellType.h
-_KINDS = {
-    5: "triangle", 7: "polygon", 8: "pixel", 9: "quadrilateral", 10: "tetrahedron", 11: "voxel", 12: "hexahedron",
-    13: "wedge", 14: "pyramid", 15: "pentagonal_prism", 16: "hexagonal_prism", 22: "quadratic_triangle",
-    23: "quadratic_quadrilateral", 24: "quadratic_tetrahedron", 25: "quadratic_hexahedron", 26: "quadratic_wedge",
-    27: "quadratic_pyramid", 28: "biquadratic_quadrilateral", 29: "triquadratic_hexahedron",
-    30: "quadratic_linear_quadrilateral", 31: "quadratic_linear_wedge", 32: "biquadratic_quadratic_wedge",
-    33: "biquadratic_quadratic_hexahedron", 34: "biquadratic_triangle", 36: "quadratic_polygon",
-    37: "triquadratic_pyramid", 42: "polyhedron", 69: "lagrange_triangle", 70: "lagrange_quadrilateral",
-    71: "lagrange_tetrahedron", 72: "lagrange_hexahedron", 73: "lagrange_wedge", 74: "lagrange_pyramid",
-}  # fmt: skip
-_FLAT = frozenset({5, 7, 8, 9, 22, 23, 28, 30, 34, 36, 69, 70})  # kinds of dimension 2
-_STRAIGHT = frozenset({5, 7, 9})  # kinds whose nodes are the corners of a polygon, in order
 _MISSING = -1
+_ROUNDING = 1e-9  # of natural coordinates
 MeshVariable = tuple[tuple[str, ...], Any, dict[str, Any], dict[str, Any]]  # dimensions, values, attributes, encoding
 
 
@@ -71,7 +61,7 @@ def describe_mesh(mesh: BodyMesh) -> MeshDescription:
         topology["face_dimension"] = "cell"
         rings = _order_rings(cells, corners)
         role, other = ("face_node_connectivity", "") if rings is corners else ("", "face_node_connectivity")
-        if rings is not corners and rings is not None:
+        if rings is not corners:
             topology[other] = "face_nodes"
             variables["face_nodes"] = _index_nodes(("cell", "corner"), rings, "nodes around the cell, in order", other)
     else:
@@ -97,7 +87,7 @@ def _describe_coordinate(i: int, rest: Floats) -> MeshVariable:
         attributes["positive"] = "up"
     else:
         attributes["standard_name"] = f"projection_{AXES[i]}_coordinate"
-    return ("node",), rest[:, i], attributes, {}
+    return ("node",), rest[:, i], attributes, {"_FillValue": None}
 
 
 def _attribute_field(text: str, units: str, location: str) -> dict[str, Any]:
@@ -116,7 +106,7 @@ def _describe_kinds(types: NDArray[np.uint8]) -> MeshVariable:
     attributes = {
         "long_name": "kind of the cell, by VTK's number",
         "flag_values": kinds if len(kinds) > 1 else kinds[0],  # as netCDF gives it back
-        "flag_meanings": " ".join(_KINDS.get(kind, f"vtk_{kind}") for kind in kinds.tolist()),
+        "flag_meanings": " ".join(TYPES[kind].name.lower().replace(" ", "_") for kind in kinds.tolist()),
     }
     return ("cell",), types, attributes, {}
 
@@ -152,49 +142,31 @@ def _unpad_rows(rows: NDArray[Any]) -> tuple[Ints, Ints]:
     return offsets, rows[present].astype(np.int64)
 
 
-def _order_rings(cells: CellArray, corners: Ints) -> Ints | None:
-    """Return the nodes around each planar cell in order, or None if there is a kind whose order is not known."""
-    kinds = np.unique(cells.types).tolist()
-    if _STRAIGHT.issuperset(kinds):
+def _order_rings(cells: CellArray, corners: Ints) -> Ints:
+    """Return the nodes around each planar cell in order; the corners themselves if they are in order."""
+    groups = np.unique(np.column_stack([cells.types, np.diff(cells.offsets)]), axis=0).tolist()
+    places = {(kind, count): _find_ring(kind, count) for kind, count in groups}
+    if all(ring.tolist() == list(range(count)) for (_, count), ring in places.items()):
         return corners
     rings, lengths = np.full_like(corners, _MISSING), np.diff(cells.offsets)
-    for kind in kinds:
-        for length in np.unique(lengths[cells.types == kind]).tolist():
-            ring = _find_ring(kind, length)
-            if ring is None:
-                return None
-            chosen = np.flatnonzero((cells.types == kind) & (lengths == length))
-            rings[chosen[:, None], np.arange(len(ring))] = corners[chosen[:, None], ring]
+    for (kind, count), ring in places.items():
+        chosen = np.flatnonzero((cells.types == kind) & (lengths == count))
+        rings[chosen[:, None], np.arange(len(ring))] = corners[chosen[:, None], ring]
     return rings
 
 
-def _find_ring(kind: int, length: int) -> list[int] | None:
-    """Return the places of the nodes around a planar cell in its list of nodes, in order."""
-    if kind in _STRAIGHT:
-        return list(range(length))
-    if kind == 8:  # the nodes of a pixel go along x first
-        return [0, 1, 3, 2]
-    if kind == 36:
-        return _weave(length // 2, 1)
-    if kind in (22, 34):
-        return _weave(3, 1)
-    if kind in (23, 28):
-        return _weave(4, 1)
-    if kind == 69:
-        order = round((np.sqrt(8 * length + 1) - 3) / 2)
-        return _weave(3, order - 1)
-    if kind == 70 and (order := round(np.sqrt(length) - 1)) and (order + 1) ** 2 == length:
-        inner = order - 1
-        edges = [list(range(4 + inner * a, 4 + inner * (a + 1))) for a in range(4)]
-        # the nodes of the last two edges go along the axes, against the way around
-        return [0, *edges[0], 1, *edges[1], 2, *edges[2][::-1], 3, *edges[3][::-1]]
-    return None
-
-
-def _weave(corners: int, inner: int) -> list[int]:
-    """Return corners, each followed by the inner nodes of its edge, which are stored after all corners."""
-    edges = [[a, *range(corners + inner * a, corners + inner * (a + 1))] for a in range(corners)]
-    return [node for edge in edges for node in edge]
+def _find_ring(cell_type: int, count: int) -> Ints:
+    """Return the places of the nodes around a planar cell in its list of nodes, in order, from its first corner on."""
+    if TYPES[cell_type].faceted:
+        return np.arange(count)
+    kind = find_kind(cell_type, count)
+    edges = (
+        [*kind.nodes.T, 1 - kind.nodes.sum(axis=1)] if kind.shape == "triangle" else [*kind.nodes.T, *1 - kind.nodes.T]
+    )
+    around = np.flatnonzero(np.min(np.abs(edges), axis=0) < _ROUNDING)
+    x, y = (kind.nodes[around] - kind.nodes[kind.corners].mean(axis=0)).T
+    ring = around[np.argsort(np.arctan2(y, x))]
+    return np.roll(ring, -int(np.flatnonzero(ring == kind.corners[0])[0])).astype(np.int64)
 
 
 def read_mesh(dataset: "xarray.Dataset") -> BodyMesh:
@@ -214,7 +186,12 @@ def read_mesh(dataset: "xarray.Dataset") -> BodyMesh:
         types = dataset["cell_type"].values.astype(np.uint8)
     else:
         types = np.full(len(rows), CELL_TYPES.get(rows.shape[1] - 1, 0), dtype=np.uint8)
-    dimension = 2 if _FLAT.issuperset(np.unique(types).tolist()) else 3
+    unknown = [kind for kind in np.unique(types).tolist() if kind not in TYPES]
+    if unknown:
+        raise SeriesError(f"cell_type {unknown[0]} is not one of VTK's")
+    dimension = max((TYPES[kind].dimension for kind in np.unique(types).tolist()), default=0)
+    if dimension < 2:
+        raise SeriesError("the dataset has no cells that are bodies or surfaces")
     cells = CellArray(types, offsets, nodes, _read_faces(dataset, len(types)))
     in_space = dimension == 3 or "plane" in dataset or "node_z" in dataset.coords
     points = rest if in_space else rest[:, :2]

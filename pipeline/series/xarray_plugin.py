@@ -30,6 +30,7 @@ from pipeline.series.mesh_variables import RESERVED, describe_mesh
 from pipeline.series.series import Series, open_series
 
 _SUFFIXES = (*INDEX_SUFFIXES, *TEMPORAL_SUFFIXES, *SUFFIXES)
+_NO_FILL = {"_FillValue": None}  # CF allows none on a coordinate; xarray writes one on every float
 _CACHE_BYTES = 1 << 25  # 32 MB: 1000 frames of a few hundred cells, or two of a million
 
 
@@ -104,11 +105,12 @@ def make_lazy_dataset(series: Series, first: Grid | None = None, *, scan_all: bo
         variables[column.name] = _make_variable(store, column)
     time = {**make_attributes("time", d), "standard_name": "time", "axis": "T"}
     coordinates: dict[str, Any] = {
-        "time": ("time", np.array(series.times), time), "axis": ("axis", list(AXES), make_attributes("axis", d)),
+        "time": ("time", np.array(series.times), time, _NO_FILL),
+        "axis": ("axis", list(AXES), make_attributes("axis", d)),
         **described.coordinates,
-    }  # fmt: skip
+    }
     if any("quantile" in column.dims for column in columns):
-        coordinates["quantile"] = ("quantile", np.array(QUANTILES), make_attributes("quantile", d))
+        coordinates["quantile"] = ("quantile", np.array(QUANTILES), make_attributes("quantile", d), _NO_FILL)
     out = xarray.Dataset(variables, coordinates, {"Conventions": "CF-1.11 UGRID-1.0", "title": series.name})
     if notes := (*series.notes, *notes):
         out.attrs["comment"] = "; ".join(notes)

@@ -360,7 +360,7 @@ def test_points_of_the_body_are_probed(tmp_path):
     dataset = open_lazily(write_fields(tmp_path))
     points = np.array([[0.3, 1.2, 0.7], [2, 2, 2], [0, 0, 0], [1.99, 0.01, 1.5]])
     found = dataset.deformation.probe("displacement", points)
-    assert found.dims == ("time", "point", "axis") and found.attrs == dataset["displacement"].attrs
+    assert found.dims == ("time", "point", "axis") and found.attrs.items() < dataset["displacement"].attrs.items()
     assert found.values == pytest.approx(np.stack([points * 0.5 * t for t in TIMES]), abs=1e-13)
     outside = dataset.deformation.probe("displacement", [[0.3, 1.2, 0.7], [0, 0, 2.01]])
     assert np.isnan(outside.values[:, 1]).all() and np.isfinite(outside.values[:, 0]).all()
