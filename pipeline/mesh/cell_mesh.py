@@ -14,7 +14,7 @@ from pipeline.mesh.cell_kinds import TYPES
 from pipeline.mesh.faceted import FacetedCells, collect_faceted
 from pipeline.mesh.rest_cells import RestBlock, measure_block, prepare_block, share_among_nodes
 from pipeline.mesh.rest_facets import RestFacets, measure_facets, prepare_facets, share_among_corners
-from pipeline.mesh.simplex import signed_volumes
+from pipeline.mesh.simplex import Mesh, signed_volumes
 
 _LARGEST = 1e30  # [m], as for simplices
 
@@ -72,14 +72,21 @@ class CellMesh:
         return tuple(prepare_block(local, block) for block in self.blocks)
 
     @cached_property
-    def faceted(self) -> FacetedCells | None:
+    def triangles(self) -> Mesh | None:
+        """Return the linear triangles of a planar body as a mesh of their own, if there are any."""
+        parts = [block.connectivity for block in self.blocks if block.kind.is_linear_simplex]
+        planar = self.points.shape[1] == 2
+        return Mesh(self.points, parts[0], self.name) if planar and parts else None
+
+    @cached_property
+    def facets(self) -> FacetedCells | None:
         """Return the cells that have only faces, if there are any."""
         return collect_faceted(self.points, self.cell_array, self.dimension, self.name)
 
     @cached_property
     def rest_facets(self) -> RestFacets | None:
         """Return the rest state of the cells that have only faces; computed once."""
-        return None if self.faceted is None else prepare_facets(self.find_local(self.points), self.faceted)
+        return None if self.facets is None else prepare_facets(self.find_local(self.points), self.facets)
 
     def find_local(self, points: Floats) -> Floats:
         """Return points (n, c) in the coordinates of the plane, if there is one."""
@@ -99,8 +106,8 @@ class CellMesh:
             # surfaces are integrated with more points here: their sum is made that of the volumes
             shares *= (self.rest_volumes[block.cells] / shares.sum(axis=1))[:, None]
             total += np.bincount(block.connectivity.ravel(), shares.ravel(), minlength=len(total))
-        if self.faceted is not None:
-            total += share_among_corners(local, self.faceted, len(total))
+        if self.facets is not None:
+            total += share_among_corners(local, self.facets, len(total))
         return total
 
     @cached_property
@@ -123,7 +130,7 @@ def measure_volumes(
 ) -> Floats:
     """Return the signed volume (e,) of every cell at points (n, 2) or (n, 3), NaN for those of another dimension.
 
-    Areas are signed in the plane of z or in `plane`; those of surfaces in space, and volumes of polyhedra, are positive.
+    Areas are signed in the plane of z or in `plane`; areas of surfaces in space and volumes of polyhedra are positive.
     Raises MeshError, which begins with `name`, for polyhedra whose faces do not enclose a volume.
     """
     local = points if plane is None else np.ascontiguousarray(points @ plane.T)
@@ -175,10 +182,10 @@ def _list_notes(mesh: CellMesh) -> tuple[str, ...]:
     folded = np.concatenate(nothing + [rest.block.cells[rest.folded_cells] for rest in mesh.rest_blocks])
     flat = np.concatenate(nothing + [rest.block.cells[rest.degenerate_cells] for rest in mesh.rest_blocks])
     notes = []
-    if mesh.faceted is not None:
+    if mesh.facets is not None:
         name = "polyhedra or prisms" if mesh.dimension == 3 else "polygons"
         notes.append(
-            f"{len(mesh.faceted.cells)} {name} are measured by their faces, fanned about their centers; their rotation "
+            f"{len(mesh.facets.cells)} {name} are measured by their faces, fanned about their centers; their rotation "
             "is that of the least-squares fit to their points"
         )
     if folded.size:

@@ -37,8 +37,8 @@ def _measure_block(mesh: CellMesh, rest: RestBlock, x: Floats, outputs: Measures
     if rest.block.kind.is_linear_simplex and mesh.dimension == 3:
         _measure_tetrahedra(mesh, rest, x, outputs)
         return
-    if rest.block.kind.is_linear_simplex and mesh.points.shape[1] == 2:
-        _measure_triangles(mesh, rest, x, outputs)
+    if rest.block.kind.is_linear_simplex and mesh.triangles is not None:
+        _measure_triangles(mesh.triangles, rest, x, outputs)
         return
     place = (rest.block.cells, rest.connectivity, rest.derivatives, rest.samples.weights, rest.inverse, rest.gradients)
     if mesh.is_surface:
@@ -75,10 +75,10 @@ def _measure_tetrahedra(mesh: CellMesh, rest: RestBlock, x: Floats, outputs: Mea
         outputs[1][cells] = outputs[2][cells] = volumes[:count] / mesh.rest_volumes[cells]
 
 
-def _measure_triangles(mesh: CellMesh, rest: RestBlock, x: Floats, outputs: Measures) -> None:
+def _measure_triangles(triangles: Mesh, rest: RestBlock, x: Floats, outputs: Measures) -> None:
     """Write the measures of linear triangles in the plane by the code of simplices, so that they have the same bits."""
-    cells, triangles = rest.block.cells, Mesh(mesh.points, rest.connectivity)
-    outputs[0][cells] = signed_volumes(x, rest.connectivity)
-    outputs[1][cells] = outputs[2][cells] = outputs[0][cells] / mesh.rest_volumes[cells]
+    cells, volumes = rest.block.cells, signed_volumes(x, triangles.cells)
+    outputs[0][cells] = volumes
+    outputs[1][cells] = outputs[2][cells] = volumes / triangles.rest_volumes
     angles = angle(polar(deformation_gradient(triangles, x)))
-    outputs[3][cells] = np.where(np.isnan(outputs[0][cells]), np.nan, angles)
+    outputs[3][cells] = np.where(np.isnan(volumes), np.nan, angles)
