@@ -1,4 +1,4 @@
-"""Files of SfePy 2026: a hyperelastic bar of hexahedra in the total Lagrangian formulation, stretched and twisted; .vtk.
+"""Files of SfePy 2026: a hyperelastic bar of hexahedra (total Lagrangian), stretched and twisted; .vtk.
 
     pip install sfepy;  python make.py
 
