@@ -27,6 +27,10 @@ class SeriesError(PipelineError):
     """A recorded time series cannot be read or measured."""
 
 
+class MeshChangedError(SeriesError):
+    """The cells of a frame are not those of the first frame of its series."""
+
+
 class SolveError(PipelineError):
     """A step could not be computed; the results before it are kept."""
 

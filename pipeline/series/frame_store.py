@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.errors import MeshChangedError
 from pipeline.formats.grid import Grid
 from pipeline.run.measures import STEPS, pad_to_space
+from pipeline.series.arrangement import have_same_cells
 from pipeline.series.field_table import FieldForm, fit_value
-from pipeline.series.layout import have_same_cells
 from pipeline.series.series import Series
 
 
@@ -77,13 +78,19 @@ class FrameStore:
         data = getattr(grid, f"{kind}_data")
         value: NDArray[Any] | None = data.get(source)
         if kind != "field":
-            arrangement = self.series.layout.arrange(grid, where)
-            if value is not None:
-                value = arrangement.select_nodes(value) if kind == "point" else arrangement.select_cells(value)
+            value = None if value is None else self._arrange(value, kind, grid, where)
         elif value is not None:
             value = value.reshape(-1)
             value = value[:1].reshape(()) if value.size == 1 and source not in STEPS else value
         return fit_value(value, column.form, column.shape, where)
+
+    def _arrange(self, value: NDArray[Any], kind: str, grid: Grid, where: str) -> NDArray[Any] | None:
+        """Return values in the order of the mesh; None if the frame has other cells."""
+        try:
+            arrangement = self.series.layout.arrange(grid, where)
+        except MeshChangedError:
+            return None
+        return arrangement.select_nodes(value) if kind == "point" else arrangement.select_cells(value)
 
     def _read_displacement(self, column: FieldColumn, index: int, grid: Grid) -> NDArray[Any]:
         layout = self.series.layout

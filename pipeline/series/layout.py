@@ -6,19 +6,19 @@ nodes without cells, or mirrored cells. A note reports each of these decisions.
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Floats, Ints
-from pipeline.errors import MeshError, SeriesError, shorten
+from pipeline.arrays import Floats
+from pipeline.errors import MeshChangedError, MeshError, SeriesError, shorten
 from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.formats.grid import Grid
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.cleanup import orient_cells
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
+from pipeline.series.arrangement import Arrangement, arrange_frame, keep_ids
 from pipeline.series.displacement import SAME, Displacement, choose_displacement, collect_evidence
 from pipeline.series.rest_state import FIELD, choose_rest_points, read_rest_file
 
@@ -40,21 +40,6 @@ class Options:
     rest: str | os.PathLike[str] | None = None
 
 
-class Arrangement(NamedTuple):
-    """The points (n,) and cells (e,) of a file that are the nodes and cells of the mesh; None if they are equal."""
-
-    nodes: Ints | None = None
-    cells: Ints | None = None
-
-    def select_nodes(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the values of the mesh's nodes, given those of a file's points."""
-        return values if self.nodes is None else values[self.nodes]
-
-    def select_cells(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the values of the mesh's cells, given those of a file's cells."""
-        return values if self.cells is None else values[self.cells]
-
-
 @dataclass(frozen=True, eq=False)
 class SeriesLayout:
     """How frames become positions on one mesh.
@@ -66,7 +51,9 @@ class SeriesLayout:
     mesh: BodyMesh
     arrangement: Arrangement
     motion: Displacement
-    grid: Grid  # points and cells of the first frame, without fields
+    grid: Grid  # points and cells of the first frame, with the ids of both as its only fields
+    at_rest: Grid  # the same with rest positions
+    rest_field: str | None  # of the rest positions in every frame
     notes: tuple[str, ...]
 
     @property
@@ -75,36 +62,37 @@ class SeriesLayout:
         return self.motion.field.label if self.motion.field is not None and self.motion.is_added else None
 
     def arrange(self, grid: Grid, where: str) -> Arrangement:
-        """Return where a frame has the nodes and cells of the mesh; raises SeriesError if it does not have them."""
-        self.check_cells(grid, where)
-        return self.arrangement
+        """Return where a frame has the nodes and cells of the mesh; raises MeshChangedError if it has others."""
+        arrangement = arrange_frame(grid, self.at_rest, self.arrangement, lambda: self._find_rest(grid))
+        if arrangement is not None:
+            return arrangement
+        raise MeshChangedError(
+            f"{where}: its cells are not those of the first frame ({len(grid.types)} cells, {grid.count} points; it "
+            f"has {len(self.grid.types)} and {self.grid.count}): the topology changes"
+        )
 
-    def check_cells(self, grid: Grid, where: str) -> None:
-        """Raise SeriesError if the cells of a frame are not those of the first."""
-        if not have_same_cells(grid, self.grid):
-            raise SeriesError(
-                f"{where}: its cells are not those of the first frame "
-                f"({len(grid.types)} cells, {grid.count} points; it has {len(self.grid.types)} and "
-                f"{self.grid.count}): the topology changes"
-            )
+    def _find_rest(self, grid: Grid) -> Floats | None:
+        """Return the rest positions of a frame's points (n, 3), None if nothing says them."""
+        if self.rest_field is not None and self.rest_field in grid.point_data:
+            return np.asarray(grid.point_data[self.rest_field], dtype=np.float64)
+        if self.motion.field is None or not self.motion.field.is_in(grid):
+            return None
+        return grid.points if self.motion.is_added else grid.points - self.motion.field.read(grid)
 
     def compute_positions(self, grid: Grid, where: str) -> Floats:
-        """Return the positions of a frame (n, d); raises SeriesError if they do not fit this mesh."""
-        points = self.arrange(grid, where).select_nodes(add_displacement(grid, self.motion, self.grid, where))
+        """Return the positions of a frame (n, d), NaN if they are not finite; raises SeriesError if they do not fit."""
+        points = self.arrange(grid, where).select_nodes(self.read_points(grid, where))
         points[~(np.abs(points) < _LARGEST).all(axis=1)] = np.nan  # negated so that NaN counts too
         return drop_z(points, where) if self.mesh.dimension == 2 else np.ascontiguousarray(points)
+
+    def read_points(self, grid: Grid, where: str) -> Floats:
+        """Return the deformed points of a file (n, 3), in its order; raises SeriesError."""
+        return add_displacement(grid, self.motion, self.grid, where)
 
     def find_point(self, node: int) -> int:
         """Return the number that a node of the mesh has in the files."""
         nodes = self.arrangement.nodes
         return int(node if nodes is None else nodes[node])
-
-
-def have_same_cells(a: Grid, b: Grid) -> bool:
-    """Return whether two grids have equal cells and the same number of points."""
-    if a.connectivity is b.connectivity and a.types is b.types:  # equal text is decoded only once
-        return a.count == b.count
-    return a.count == b.count and np.array_equal(a.types, b.types) and np.array_equal(a.connectivity, b.connectivity)
 
 
 def add_displacement(grid: Grid, motion: Displacement, first: Grid, where: str) -> Floats:
@@ -148,6 +136,7 @@ def infer_layout(first: Grid, read: Callable[[int], Grid], count: int, options: 
         motion = choose_displacement(evidence, options.displacement, where, included=included)
     cells = first.select_cells(CELL_TYPES[dimension])
     rest, rest_notes = choose_rest_points(first, motion, options.rest, from_file, where)
+    all_rest = rest
     used = np.zeros(len(rest), dtype=bool)
     used[cells] = True
     nodes = None if used.all() else np.flatnonzero(used)
@@ -160,10 +149,12 @@ def infer_layout(first: Grid, read: Callable[[int], Grid], count: int, options: 
         mesh = Mesh(points, cells, name=where)
     except MeshError as error:
         raise SeriesError(f"rest state: {error}") from error
-    bare = Grid(first.points, first.count, first.types, first.offsets, first.connectivity, {}, {}, {})
+    bare = keep_ids(first)
+    at_rest = replace(bare, stored_points=all_rest)
+    rest_field = FIELD if options.rest in (None, FIELD) and FIELD in first.point_data else None
     arrangement = Arrangement(nodes, None if chosen.all() else np.flatnonzero(chosen))
     notes = (*cell_notes, *motion.notes, *rest_notes, *orientation_notes)
-    return SeriesLayout(mesh, arrangement, motion, bare, notes)
+    return SeriesLayout(mesh, arrangement, motion, bare, at_rest, rest_field, notes)
 
 
 def _select_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], tuple[str, ...]]:

@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.arrays import Floats
+from pipeline.errors import MeshChangedError
 from pipeline.formats.grid import Grid
 from pipeline.mesh.body_mesh import BodyMesh
-from pipeline.run.frame import Frame
+from pipeline.run.frame import Frame, Values
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
+from pipeline.series.changed_body import measure_changed_body
 from pipeline.series.frame_files import read_grid
 from pipeline.series.layout import Options, SeriesLayout, infer_layout
 from pipeline.series.listing import FrameListing, Member, list_frames
@@ -79,9 +81,26 @@ class Series:
         return _read_member(self.members[index], ours=self.ours)
 
     def read_frame(self, index: int, grid: Grid | None = None) -> Frame:
-        """Return one frame, read from its file now; raises SeriesError if the file does not fit the series."""
+        """Return one frame, read from its file now; raises SeriesError if the file does not fit the series.
+
+        If its cells are not those of the mesh, its positions are NaN, and it has the volume of the whole body.
+        """
         grid = self.read_grid(index) if grid is None else grid
-        x = self.read_positions(index, grid)
+        try:
+            x = self.read_positions(index, grid)
+        except MeshChangedError as error:
+            return self._make_changed_frame(index, grid, str(error))
+        missing = np.flatnonzero(np.isnan(x).any(axis=1))
+        fault = (
+            f"{missing.size} points are not finite, first {self.layout.find_point(missing[0])}" if missing.size else ""
+        )
+        known = self._read_numbers(grid)
+        step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
+        time, v = self.members[index].time, self._read_velocity(grid)
+        return Frame(index, time, self.mesh, x, step=step, v=v, known=known, fault=fault)
+
+    def _read_numbers(self, grid: Grid) -> Values:
+        """Return the numbers of a frame that only its solver knows, by our names."""
         stepwise = [name for name in STEPS if name in grid.field_data] if self.ours else []
         known = {name: np.asarray(grid.field_data[name], dtype=np.float64).ravel() for name in stepwise}
         for name in grid.field_data.keys() & VARIABLES.keys():
@@ -90,8 +109,16 @@ class Series:
             # in another program's files, a field of that name may be something else
             if value.size == _LENGTHS.get(dims):
                 known[name] = value.reshape([-1] if dims else [])
-        step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
-        return Frame(index, self.members[index].time, self.mesh, x, step=step, v=self._read_velocity(grid), known=known)
+        return known
+
+    def _make_changed_frame(self, index: int, grid: Grid, reason: str) -> Frame:
+        """Return a frame whose cells are not those of the mesh."""
+        member, layout = self.members[index], self.layout
+        volume = measure_changed_body(grid, layout.read_points(grid, str(member.file)), self.mesh.dimension)
+        drift = volume / self.mesh.rest_volumes.sum() - 1
+        whole = {"total_volume": np.asarray(volume), "volume_drift": np.asarray(drift)}
+        x = np.full(self.mesh.points.shape, np.nan)
+        return Frame(index, member.time, self.mesh, x, whole=whole, fault=reason)
 
     def read_positions(self, index: int, grid: Grid | None = None) -> Floats:
         """Return the positions (n, d) of one frame, read from its file now; raises SeriesError as `read_frame` does."""

@@ -341,11 +341,22 @@ def test_times_are_sorted_and_repeated_ones_left_out(tmp_path):
     assert "1 frames have the time of a later one" in series.notes[0]
 
 
-def test_changing_topology_and_flat_cells_are_errors(tmp_path):
+def test_a_frame_with_other_cells_has_only_the_volume_of_the_whole(tmp_path):
     path = write_series(tmp_path)
     pyvista.UnstructuredGrid({10: CELLS[:-1]}, move_points(0.1)).save(tmp_path / "f1.vtu")
-    with pytest.raises(SeriesError, match="topology changes"):
-        list(read_series(path))
+    series = read_series(path)
+    frames = list(series)
+    assert "topology changes" in frames[1].fault and frames[1].x.shape == series.mesh.points.shape
+    measured = [measure(frame) for frame in frames]
+    assert np.isnan(measured[1]["volume_ratio"]).all() and np.isnan(measured[1]["volume_ratio_mean"])
+    assert not np.isnan(measured[2]["volume_ratio"]).any()
+    remaining = series.mesh.rest_volumes[:-1].sum() * (1 + GROWTH * TIMES[1]) ** 3
+    assert measured[1]["total_volume"] == pytest.approx(remaining, rel=1e-12)
+    assert measured[1]["volume_drift"] == pytest.approx(remaining / series.mesh.rest_volumes.sum() - 1, rel=1e-12)
+
+
+def test_flat_cells_are_an_error(tmp_path):
+    path = write_series(tmp_path)
     flat = POINTS.copy()
     flat[:, 2] = 0
     make_grid(0, points=flat).save(tmp_path / "f0.vtu")
