@@ -36,15 +36,20 @@ class VectorField(NamedTuple):
         return ",".join(self.names)
 
     @property
+    def _bare_name(self) -> str:
+        """Return the stem in lower case; readers of Exodus join disp_x, disp_y and disp_z to the vector disp_."""
+        return self.stem.lower().rstrip("_.:- ")
+
+    @property
     def is_clear(self) -> bool:
         """Return whether the name can only mean a displacement."""
-        name = self.stem.lower()
+        name = self._bare_name
         return not self.is_other and (name in _CLEAR_NAMES or any(part in name for part in _CLEAR_PARTS))
 
     @property
     def is_short(self) -> bool:
         """Return whether the name is one that some programs give to displacements and others to velocities."""
-        return self.stem.lower() in _SHORT_NAMES
+        return self._bare_name in _SHORT_NAMES
 
     @property
     def is_other(self) -> bool:
