@@ -13,6 +13,7 @@ from pipeline.views.track import Track, list_drawn_points
 ASIDE, RAISED = -0.42, 0.34  # components along the length and along z; the one along the view is 1
 LONG = 1.5  # only bodies long in x are seen from -y; nearly square ones, like those long in y, from +x
 MARGIN = 0.03  # of a panel, on each side
+PARALLEL = 0.999  # cosine of 2.6 degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +39,11 @@ class Camera:
 
 
 def fit_camera(tracks: Sequence[Track]) -> Camera:
-    """Return the camera for bodies: z up, the longer of x and y across; in the plane y up, seen along -z."""
+    """Return the camera for bodies: z up, the longer of x and y across; planar bodies are seen along their normal."""
     points = np.concatenate([list_drawn_points(track) for track in tracks])
-    if all(track.dimension == 2 for track in tracks):
-        toward, upward = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+    flat = _find_common_normal(tracks)
+    if flat is not None:
+        toward, upward = _face_plane(flat)
     else:
         extent = np.ptp(tracks[0].rest, axis=0)
         toward = np.array([ASIDE, -1.0, RAISED]) if extent[0] > LONG * extent[1] else np.array([1.0, ASIDE, RAISED])
@@ -52,3 +54,22 @@ def fit_camera(tracks: Sequence[Track]) -> Camera:
     up = np.cross(toward, right)
     projected = points @ np.stack([right, up, toward]).T
     return Camera(toward, right, up, projected.min(axis=0), projected.max(axis=0))
+
+
+def _find_common_normal(tracks: Sequence[Track]) -> Floats | None:
+    """Return the normal of the plane of all bodies, or None if there is none."""
+    normals = [track.normal for track in tracks]
+    first = normals[0]
+    if first is None or any(other is None or abs(first @ other) < PARALLEL for other in normals[1:]):
+        return None
+    return first
+
+
+def _face_plane(normal: Floats) -> tuple[Floats, Floats]:
+    """Return the directions toward the viewer and upward: z up, or y in a plane of constant z.
+
+    The plane is seen from the side from which the axis that runs across points to the right.
+    """
+    upward = np.array([0.0, 1.0, 0.0] if abs(normal[2]) > PARALLEL else [0.0, 0.0, 1.0])
+    right = np.cross(upward, normal)
+    return normal if right[np.abs(right).argmax()] > 0 else -normal, upward

@@ -17,6 +17,7 @@ BANDS = ((0.0, 1.0, 0.14), (0.05, 0.95, 0.22), (0.25, 0.75, 0.34))  # lower and 
 ENERGIES = {"kinetic": (BLUE, "-"), "elastic": (VERMILION, "--"), "potential": (GREEN, "-.")}  # color, dashes
 
 INVERTED = (214, 0, 196)  # magenta: far from every color of the map
+UNKNOWN = (150, 152, 158)  # cells without data: darker than the middle of the map
 OUTLINE = (143, 148, 161)  # of the rest shape
 DIMMED = 0.68  # share of white in a panel whose series ended early
 
@@ -34,5 +35,6 @@ class Palette:
         """Return the color of every face (f, 3)."""
         place = np.nan_to_num((ratio - 1) / (2 * self.radius) + 0.5, nan=0.5)
         rgb = self.table[np.clip(place * 256, 0, 255).astype(np.int64)]
-        rgb[~(ratio > 0)] = INVERTED
+        rgb[ratio <= 0] = INVERTED
+        rgb[np.isnan(ratio)] = UNKNOWN
         return (rgb * (1 - DIMMED) + 255 * DIMMED).astype(np.uint8) if dimmed else rgb

@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
 from pipeline.mesh.body_mesh import BodyMesh
-from pipeline.mesh.simplex import require_simplices
-from pipeline.mesh.surface import find_boundary_faces
+from pipeline.mesh.cell_mesh import CellMesh
+from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.skin import find_skin
+from pipeline.run.frame import Frame
 from pipeline.run.measures import measure_cells
 from pipeline.series import Series
 from pipeline.system.times import TIME_RTOL
@@ -24,13 +26,17 @@ EXPLODED = 20.0  # a frame this many rest sizes wide has blown up: fitting it wo
 class Track:
     """All frames of one panel: the surface only, in single precision, so that a long motion fits into memory.
 
-    faces (f, 3) are rows of rest (s, 3) and of points (t, s, 3); ratio (t, f) is that of the cell behind the face.
+    faces (f, 3) and lines (k, 2) are rows of rest (s, 3) and of points (t, s, 3); ratio (t, f) is that of the cell
+    behind the face, the smallest det F in it if that is zero or less, NaN without data. Points without data stay at
+    their last place.
     """
 
     label: str
     dimension: int
     times: Floats
     faces: Ints
+    lines: Ints | None  # around the cells; None if these are the sides of the triangles
+    normal: Floats | None  # of a planar body (3,)
     rest: NDArray[np.float32]
     points: NDArray[np.float32]
     ratio: NDArray[np.float32]
@@ -38,6 +44,7 @@ class Track:
     low: Floats  # smallest and largest volume ratio of all cells, interior ones too (t,)
     high: Floats
     inverted: Ints  # number of inverted cells (t,)
+    unknown: Ints  # number of cells without data (t,)
     sample: NDArray[np.float32]  # |J - 1| of some cells of every frame
 
     @property
@@ -50,48 +57,75 @@ class Track:
         slack = TIME_RTOL * max(float(np.ptp(self.times)), abs(time))
         return max(int(np.searchsorted(self.times, time + slack, side="right")) - 1, 0)
 
+    def find_gap(self, index: int) -> float | None:
+        """Return the time from which on no cell has had data up to a frame [s]; None if one has them in it."""
+        if np.isfinite(self.low[index]):
+            return None
+        known = np.flatnonzero(np.isfinite(self.low[:index]))
+        return float(self.times[known[-1] + 1 if known.size else 0])
+
     def ends_before(self, end: float) -> bool:
         """Return whether at least one frame is missing between the last one and a time."""
         interval = float(np.diff(self.times[-2:])[0]) if len(self.times) > 1 else 0.0
         return bool(end - self.times[-1] > max(0.5 * interval, TIME_RTOL * abs(end)))
 
 
-def find_drawn_faces(mesh: BodyMesh) -> tuple[Ints, Ints]:
-    """Return the triangles to draw (f, 3) and the cell behind each (f,)."""
-    mesh = require_simplices(mesh)
-    if mesh.dimension == 2:
-        return mesh.cells, np.arange(len(mesh.cells))
-    return find_boundary_faces(mesh)
+def find_normal(mesh: BodyMesh) -> Floats | None:
+    """Return the unit normal (3,) of a planar body; None for solids and for surfaces in space."""
+    if mesh.points.shape[1] == 2:
+        return np.array([0.0, 0.0, 1.0])
+    if isinstance(mesh, CellMesh) and mesh.plane is not None:
+        return np.asarray(np.cross(*mesh.plane), dtype=np.float64)
+    return None
 
 
 def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda: None) -> Track:
     """Return the whole motion of a series, each file read once; raises SeriesError if one cannot be read."""
     mesh = series.mesh
-    faces, owner = find_drawn_faces(mesh)
-    nodes, local = np.unique(faces, return_inverse=True)
-    count, rest_total = len(series), mesh.rest_volumes.sum()
-    points = np.zeros((count, len(nodes), 3), dtype=np.float32)
-    face_ratio = np.empty((count, len(faces)), dtype=np.float32)
+    skin = find_skin(mesh)
+    count, d, rest_total = len(series), mesh.points.shape[1], mesh.rest_volumes.sum()
+    points = np.zeros((count, skin.count, 3), dtype=np.float32)
+    face_ratio = np.empty((count, len(skin.triangles)), dtype=np.float32)
     total, low, high = (np.empty(count) for _ in range(3))
-    inverted = np.empty(count, dtype=np.int64)
+    inverted, unknown = np.empty((2, count), dtype=np.int64)
+    rest = np.zeros((skin.count, 3), dtype=np.float32)
+    rest[:, :d] = skin.place(mesh.points)
     sample = []
     for i in range(count):
-        x = series.read_positions(i)
-        volumes = measure_cells(mesh, x).volumes
-        ratio = volumes / mesh.rest_volumes
-        points[i, :, : mesh.dimension] = x[nodes]
-        face_ratio[i] = ratio[owner]
-        total[i], low[i], high[i] = volumes.sum() / rest_total, ratio.min(), ratio.max()
-        inverted[i] = (ratio <= 0).sum()
+        x, whole = _read_instant(series, i)
+        cells = measure_cells(mesh, x)
+        ratio = cells.volumes / mesh.rest_volumes
+        points[i, :, :d] = skin.place(x)
+        face_ratio[i] = np.where(cells.ratio_min <= 0, np.minimum(ratio, cells.ratio_min), ratio)[skin.owners]
+        known = ratio[np.isfinite(ratio)]
+        low[i], high[i] = (known.min(), known.max()) if known.size else (np.nan, np.nan)
+        total[i] = whole / rest_total if whole is not None else cells.volumes.sum() / rest_total
+        inverted[i], unknown[i] = (cells.ratio_min <= 0).sum(), len(ratio) - len(known)
         sample.append(np.abs(ratio[:: max(1, len(ratio) // SAMPLED_CELLS)] - 1).astype(np.float32))
+        _keep_places(points, i, rest)
         on_read()
-    rest = np.zeros((len(nodes), 3), dtype=np.float32)
-    rest[:, : mesh.dimension] = mesh.points[nodes]
     return Track(
-        label=label, dimension=mesh.dimension, times=np.asarray(series.times, dtype=np.float64),
-        faces=local.reshape(faces.shape), rest=rest, points=points, ratio=face_ratio, total=total, low=low, high=high,
-        inverted=inverted, sample=np.concatenate(sample),
+        label=label, dimension=mesh.dimension, times=np.asarray(series.times, dtype=np.float64), faces=skin.triangles,
+        lines=None if isinstance(mesh, Mesh) else skin.lines, normal=find_normal(mesh), rest=rest, points=points,
+        ratio=face_ratio, total=total, low=low, high=high, inverted=inverted, unknown=unknown,
+        sample=np.concatenate(sample),
     )  # fmt: skip
+
+
+def _read_instant(series: Series, index: int) -> tuple[Floats, float | None]:
+    """Return the positions of a frame, and the volume of the whole body if that is not the sum of its cells."""
+    if series.ours:
+        return series.read_positions(index), None
+    frame: Frame = series.read_frame(index)
+    whole = frame.whole.get("total_volume")
+    return frame.x, None if whole is None else float(whole)
+
+
+def _keep_places(points: NDArray[np.float32], index: int, rest: NDArray[np.float32]) -> None:
+    """Give points of a frame (t, s, 3) that are not finite their places in the frame before, or at rest."""
+    lost = ~np.isfinite(points[index]).all(axis=1)
+    if lost.any():
+        points[index, lost] = points[index - 1, lost] if index else rest[lost]
 
 
 def choose_color_radius(tracks: Sequence[Track]) -> float:
@@ -105,9 +139,9 @@ def choose_color_radius(tracks: Sequence[Track]) -> float:
 
 def find_clipped_ends(tracks: Sequence[Track], radius: float) -> tuple[bool, bool]:
     """Return whether volume ratios of a motion lie below, and above, the color range of that radius."""
-    low = min(float(np.nanmin(track.low)) for track in tracks)
-    high = max(float(np.nanmax(track.high)) for track in tracks)
-    return low < 1 - radius, high > 1 + radius
+    low = np.concatenate([track.low for track in tracks])
+    high = np.concatenate([track.high for track in tracks])
+    return bool((low < 1 - radius).any()), bool((high > 1 + radius).any())  # NaN is neither
 
 
 def fit_color_radius(deviations: NDArray[np.floating]) -> float:

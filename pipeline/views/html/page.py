@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.netcdf import open_dataset
 from pipeline.series import Series
+from pipeline.views.cell_text import describe_cells
 from pipeline.views.html.blocks import (
     Block,
     Heading,
@@ -126,12 +127,10 @@ def _render_parts(
 def _render_summary(content: PageContent, curves: Sequence[Curves], worst: Sequence[Sequence[WorstCell]]) -> str:
     """Return HTML of the outcome in words and numbers."""
     meshes = [side.series.mesh for side in content.sides]
-    kind = {2: "triangles", 3: "tetrahedra"}[content.dimension]
-    count = " and ".join(f"{n:,}".replace(",", " ") for n in sorted({len(mesh.rest_volumes) for mesh in meshes}))
     frames = max(len(side.series) for side in content.sides)
     start, end = (f([side.series.times[i] for side in content.sides]) for f, i in ((min, 0), (max, -1)))
     subject = f"{len(meshes)} series" if len(meshes) > 1 else "One series"
-    words = f"{subject} of {count} {kind}, {frames} frames from {start:g} to {end:g} s."
+    words = f"{subject} of {describe_cells(meshes)}, {frames} frames from {start:g} to {end:g} s."
     sentences = [_describe(side.label, c, w[0]) for side, c, w in zip(content.sides, curves, worst, strict=True)]
     keys = list(dict.fromkeys(key for side in content.sides for key in side.facts))
     total = ("lowest total volume", "highest total volume", "final total volume")

@@ -82,7 +82,9 @@
       const shown = this.body.times[index];
       const ended = index === this.body.times.length - 1 && t > shown * (1 + 1e-9) + 1e-12;
       const frameTime = report.formatTime(shown) === report.formatTime(t) ? "" : ended ? ` (ends at ${report.formatTime(shown)})` : ` (${report.formatTime(shown)})`;
-      this.caption.textContent = this.body.label + frameTime;
+      const gap = this.body.gaps ? this.body.gaps[index] : null;
+      const lost = gap === null ? "" : `, no data of cells from t = ${report.formatTime(gap)}`;
+      this.caption.textContent = this.body.label + frameTime + lost;
       if (this.k3d && index !== this.shown) this.k3d.setTime(index);
       this.shown = index;
     }
@@ -148,12 +150,16 @@
       marks.append(mark);
     }
     bar.append(strip, marks);
-    if (!meta.inverted) return;
-    const inverted = document.createElement("p");
-    inverted.className = "inverted";
-    inverted.style.setProperty("--inverted", meta.invertedColor);
-    inverted.textContent = "inverted";
-    bar.append(inverted);
+    if (meta.inverted) addKey(bar, "inverted", meta.invertedColor);
+    if (meta.unknownColor) addKey(bar, "no data", meta.unknownColor);
+  }
+
+  function addKey(bar, text, color) {
+    const key = document.createElement("p");
+    key.className = "inverted";
+    key.style.setProperty("--inverted", color);
+    key.textContent = text;
+    bar.append(key);
   }
 
   async function showChosen(lib) {

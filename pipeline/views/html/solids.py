@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
+from pipeline.mesh.skin import find_skin
 from pipeline.series import Series
 from pipeline.views.camera import Camera, fit_camera
 from pipeline.views.html.curves import round_numbers
-from pipeline.views.palette import INVERTED, OUTLINE, Palette
+from pipeline.views.palette import INVERTED, OUTLINE, UNKNOWN, Palette
 from pipeline.views.track import (
     Track,
     choose_color_radius,
     find_clipped_ends,
-    find_drawn_faces,
     find_sharp_edges,
     list_drawn_points,
     read_track,
@@ -38,6 +38,7 @@ MOST_BYTES = 16_000_000  # of coordinates and colors before they are packed: 5 t
 MOST_FRAMES = 400  # of a body
 MOST_EDGES = 4000  # faces of a body; with more, the edges of its cells are not drawn
 _STEPS, _GRAIN = 254, 2.0**-15
+_UNKNOWN = -2.0  # place on the color map
 _OUTLINE = int.from_bytes(bytes(OUTLINE), "big")
 
 
@@ -84,6 +85,7 @@ def pack_solids(
         "below": below,
         "above": above,
         "inverted": bool(any(t.inverted.any() for t in tracks)),
+        **({"unknownColor": "#" + bytes(UNKNOWN).hex()} if any(t.unknown.any() for t in tracks) else {}),
         "colors": ["#" + bytes(palette.table[i]).hex() for i in np.linspace(0, 255, 17).astype(int)],
         "invertedColor": "#" + bytes(INVERTED).hex(),
     }
@@ -103,16 +105,18 @@ def _describe_body(track: Track, camera: Camera) -> dict[str, Any]:
     """Return a body's label, the times of its frames, and its bounds along the camera's right, up and toward."""
     projected = list_drawn_points(track) @ np.stack([camera.right, camera.up, camera.toward]).T
     bounds = {"low": round_numbers(projected.min(axis=0)), "high": round_numbers(projected.max(axis=0))}
-    return {"label": track.label, "times": round_numbers(track.times, digits=9), **bounds}
+    gaps = [track.find_gap(i) for i in range(len(track.times))] if track.unknown.any() else []
+    without = {"gaps": [None if gap is None else float(f"{gap:.9g}") for gap in gaps]} if gaps else {}
+    return {"label": track.label, "times": round_numbers(track.times, digits=9), **bounds, **without}
 
 
 def _count_affordable_frames(series: Sequence[Series]) -> int:
     """Return the number of frames per series that fit into the page."""
     size = 0
     for recorded in series:
-        faces, _ = find_drawn_faces(recorded.mesh)
-        bodies = 2 if len(faces) <= MOST_EDGES else 1  # the edges count as another body
-        size += 4 * len(faces) + 12 * bodies * len(np.unique(faces))
+        skin = find_skin(recorded.mesh)
+        bodies = 2 if len(skin.triangles) <= MOST_EDGES else 1  # the edges count as another body
+        size += 4 * len(skin.triangles) + 12 * bodies * skin.count
     return max(2, min(MOST_FRAMES, MOST_BYTES // size))
 
 
@@ -134,16 +138,24 @@ def _pack_scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[fl
     points = {str(i): _round_points(p, size) for i, p in enumerate(track.points)}
     colors = {str(i): _place_on_map(ratio, palette.radius) for i, ratio in enumerate(track.ratio)}
     faces = track.faces.astype(np.uint32)
-    look: dict[str, Any] = {"color_map": _make_color_map(palette), "color_range": [-1.0, _STEPS], "side": "double"}
+    unknown = bool(track.unknown.any())
+    lowest = _UNKNOWN if unknown else -1.0
+    look: dict[str, Any] = {
+        "color_map": _make_color_map(palette, unknown=unknown), "color_range": [lowest, _STEPS], "side": "double",
+    }  # fmt: skip
     plot = k3d.plot(
         grid_visible=False, menu_visibility=False, camera_auto_fit=False, axes_helper=0,
         grid_auto_fit=False, grid=bounds,  # the viewer derives its depth range from these
         colorbar_object_id=0, time_interpolation=False, camera_fov=20.0,
-        lighting=1.5 if track.dimension == 3 else 1.15,  # faces toward the viewer get the colors of the bar
+        lighting=1.5 if track.normal is None else 1.15,  # faces toward the viewer get the colors of the bar
     )  # fmt: skip
     plot += k3d.mesh(points, faces, triangles_attribute=colors, name="body", **look)
     if len(faces) <= MOST_EDGES:
-        plot += k3d.mesh(points, faces, color=0x21262F, wireframe=True, opacity=0.25, name="edges")
+        if track.lines is None:
+            plot += k3d.mesh(points, faces, color=0x21262F, wireframe=True, opacity=0.25, name="edges")
+        else:
+            lines = track.lines.astype(np.uint32)
+            plot += k3d.lines(points, lines, indices_type="segment", shader="simple", color=0x5A606B, name="edges")
     crease, contour = find_sharp_edges(track.rest, track.faces, toward)
     edges: Ints = np.concatenate([crease, contour])
     plot += k3d.lines(
@@ -160,16 +172,19 @@ def _round_points(points: NDArray[np.float32], size: float) -> NDArray[np.float3
 
 
 def _place_on_map(ratio: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
-    """Return the places of volume ratios on the color map, 0 to 254; -1 if inverted."""
+    """Return the places of volume ratios on the color map, 0 to 254; -1 if inverted, -2 without data."""
     place = np.clip(((ratio - 1) / (2 * radius) + 0.5) * _STEPS, 0, _STEPS).round()
-    return np.where(ratio > 0, place, -1.0).astype(np.float32)
+    return np.where(np.isnan(ratio), _UNKNOWN, np.where(ratio > 0, place, -1.0)).astype(np.float32)
 
 
-def _make_color_map(palette: Palette) -> list[float]:
-    """Return [place, red, green, blue, ...] of the movie's colors, preceded by that of inverted cells."""
-    span = _STEPS + 1.0
-    stops = [(0.0, np.array(INVERTED)), (0.5 / span, np.array(INVERTED))]
-    stops += [((i + 1) / span, palette.table[round(i * 255 / _STEPS)]) for i in range(0, _STEPS + 1, 2)]
+def _make_color_map(palette: Palette, *, unknown: bool) -> list[float]:
+    """Return [place, red, green, blue, ...] of the movie's colors, preceded by those of inverted and unknown cells."""
+    before: list[tuple[float, tuple[int, int, int]]] = [(_UNKNOWN, UNKNOWN)] if unknown else []
+    before += [(-1.0, INVERTED)]
+    lowest = before[0][0]
+    span = _STEPS - lowest
+    stops = [((place + step - lowest) / span, np.array(rgb)) for place, rgb in before for step in (0.0, 0.5)]
+    stops += [((i - lowest) / span, palette.table[round(i * 255 / _STEPS)]) for i in range(0, _STEPS + 1, 2)]
     return [float(v) for place, rgb in stops for v in (place, *(rgb / 255))]
 
 

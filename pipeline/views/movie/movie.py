@@ -123,8 +123,8 @@ def _describe_speed(line: Timeline) -> str:
 
 def find_poster_time(tracks: Sequence[Track]) -> float:
     """Return the time of the largest |V / V0 - 1| of any cell in any panel [s]."""
-    peaks = [(float(np.nanmax(t.worst)), float(t.times[int(np.nanargmax(t.worst))])) for t in tracks]
-    return max(peaks)[1]
+    changes = [np.nan_to_num(track.worst, nan=-1.0) for track in tracks]
+    return max((float(c.max()), float(t.times[int(c.argmax())])) for c, t in zip(changes, tracks, strict=True))[1]
 
 
 class _Studio:

@@ -5,6 +5,7 @@ Static parts are drawn once; each frame pastes the bodies into a copy and adds i
 
 from collections.abc import Sequence
 from functools import cache
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,18 @@ import numpy as np
 from pipeline.views.camera import Camera
 from pipeline.views.movie.layout import PictureLayout, Rect
 from pipeline.views.movie.scene import OVERSAMPLING, PanelState
-from pipeline.views.palette import CURVE_AHEAD, FAILED, FAINT, FILM_INK, FILM_RULE, INVERTED, OUTLINE, SOFT, Palette
+from pipeline.views.palette import (
+    CURVE_AHEAD,
+    FAILED,
+    FAINT,
+    FILM_INK,
+    FILM_RULE,
+    INVERTED,
+    OUTLINE,
+    SOFT,
+    UNKNOWN,
+    Palette,
+)
 from pipeline.views.track import Track, find_clipped_ends
 
 if TYPE_CHECKING:
@@ -52,7 +64,7 @@ class Page:
         self._end = max(float(track.times[-1]) for track in tracks)
         digits = 3 if palette.radius < 0.1 else 2
         self._ratio_format = f".{digits}f"
-        totals = np.concatenate([track.total[np.isfinite(track.total)] for track in tracks])
+        totals = np.concatenate([[1.0], *(track.total[np.isfinite(track.total)] for track in tracks)])
         # the axis spans at least half a percent: rounding must not look like a drift
         self._total_low = min(float(totals.min()), 0.9975)
         self._total_high = max(float(totals.max()), 1.0025)
@@ -82,14 +94,19 @@ class Page:
         left, top, right, _ = rect
         s, width = self._layout.unit, right - left
         low, high = (format(v, self._ratio_format) for v in (track.low[index], track.high[index]))
-        parts: list[tuple[str, Color]] = [
-            (f"total volume {100 * track.total[index]:.1f} %     V/V₀ from {low} to {high}", SOFT)
-        ]
-        if track.inverted[index]:
-            parts.append((f"     {track.inverted[index]} inverted", INVERTED))
+        gap, total, parts = track.find_gap(index), track.total[index], list[tuple[str, Color]]()
+        span = f"     V/V₀ from {low} to {high}" if gap is None else ""
         if ended:
-            when = f"{track.times[-1]:.{self._time_digits}f}"
-            parts = [(f"ends at t = {when} s", FAILED), (f"     V/V₀ from {low} to {high}", SOFT)]
+            parts.append((f"ends at t = {track.times[-1]:.{self._time_digits}f} s", FAILED))
+        elif np.isfinite(total):
+            span = f"total volume {100 * total:.1f} %{span}"
+        parts.append((span, SOFT))
+        if track.inverted[index] and not ended:
+            parts.append((f"     {track.inverted[index]} inverted", INVERTED))
+        if gap is not None:
+            parts.append((f"     no data of cells from t = {gap:.{self._time_digits}f} s", FAILED))
+        elif track.unknown[index]:
+            parts.append((f"     {track.unknown[index]} cells without data", FAILED))
         line = "".join(text for text, _ in parts)
         # sized for the usual text, so that the panels of a page agree in size if possible
         size = min(15 * s, 15 * s * (width - 16 * s) / draw.textlength(USUAL, load_font(round(15 * s))))
@@ -104,6 +121,8 @@ class Page:
         """Darken the curve up to the present and put a dot on it."""
         left, top, right, bottom = self._layout.place_curve(rect)
         x, y = self._project_curve(track, rect)[index]
+        if not np.isfinite(y):
+            return
         pad = round(4 * self._layout.unit)
         until = round(np.clip(x, left, right))
         box = (left - pad, top - pad, until, bottom + pad)
@@ -118,8 +137,7 @@ class Page:
     def _project_curve(self, track: Track, rect: Rect) -> list[tuple[float, float]]:
         left, top, right, bottom = self._layout.place_curve(rect)
         across = (track.times - self._start) / max(self._end - self._start, 1e-300)
-        total = np.nan_to_num(track.total, nan=1.0)
-        upward = (total - self._total_low) / (self._total_high - self._total_low)
+        upward = (track.total - self._total_low) / (self._total_high - self._total_low)
         upward = np.clip(upward, 0.0, 1.0)
         xs, ys = left + across * (right - left), bottom - upward * (bottom - top)
         return list(zip(xs.tolist(), ys.tolist(), strict=True))
@@ -170,8 +188,10 @@ class Page:
             draw.line([left, y, right, y], FILM_RULE if value != 1.0 else FAINT, o)
             draw.text((left - 8 * o * s, y), f"{100 * value:.{digits}f} %", SOFT, face, anchor="rm")
         points = [(o * x, o * y) for x, y in self._project_curve(track, rect)]
-        if len(points) > 1:
-            draw.line(points, color, round(1.7 * o * s), joint="curve")
+        for known, group in groupby(points, key=lambda point: bool(np.isfinite(point[1]))):
+            part = list(group)
+            if known and len(part) > 1:
+                draw.line(part, color, round(1.7 * o * s), joint="curve")
         name_x = (o * rect[0] + left - 62 * o * s) / 2
         for i, word in enumerate(("total", "volume")):
             draw.text((name_x, (top + bottom) / 2 + (i - 0.5) * 15 * o * s), word, SOFT, face, anchor="mm")
@@ -220,9 +240,11 @@ class Page:
         rows = [(OUTLINE, "rest shape")]
         if any(track.inverted.any() for track in self._tracks):
             rows.append((INVERTED, "inverted (V ≤ 0)"))
+        if any(track.unknown.any() for track in self._tracks):
+            rows.append((UNKNOWN, "no data"))
         for i, (color, text) in enumerate(rows):
-            row = y + i * 22 * o * s
-            if color == INVERTED:
+            row = y + (i if len(rows) < 3 else i - 0.5) * 22 * o * s
+            if color != OUTLINE:
                 draw.rectangle([x, row - 5 * o * s, x + 20 * o * s, row + 5 * o * s], color)
             else:
                 draw.line([x, row, x + 20 * o * s, row], color, round(1.4 * o * s))

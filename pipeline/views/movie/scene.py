@@ -98,7 +98,15 @@ class _Body:
         rest_points.SetData(numpy_to_vtk(track.rest, deep=True))
         scale = OVERSAMPLING * min(1.0, panel[1] / 400)
         self.renderer = _make_renderer(camera, pixel * panel[1] / 2)
-        self.renderer.AddActor(_make_surface_actor(self._surface, track, pixel, scale))
+        opacity = _fade_edges(track, pixel)
+        actor = _make_surface_actor(self._surface, flat=track.normal is not None)
+        self.renderer.AddActor(actor)
+        self._lines: Any = None
+        if track.lines is None:
+            _show_sides(actor, opacity, 0.8 * scale)
+        elif opacity > 0:
+            self._lines = _make_lines(self._vtk_points, track.lines)
+            self.renderer.AddActor(_make_line_actor(self._lines, EDGE_COLOR, 0.8 * scale, opacity))
         self._crease_actor = _make_line_actor(self._creases, CREASE_COLOR, 1.1 * scale)
         self.renderer.AddActor(self._crease_actor)
         r, g, b = OUTLINE
@@ -110,8 +118,9 @@ class _Body:
         self._points[:] = self.track.points[index]
         self._colors[:] = self._palette.map_colors(self.track.ratio[index], dimmed)
         self._crease_actor.GetProperty().SetOpacity(0.3 if dimmed else 1.0)
-        for changed in (self._vtk_points, self._vtk_colors, self._surface, self._creases):
-            changed.Modified()
+        for changed in (self._vtk_points, self._vtk_colors, self._surface, self._creases, self._lines):
+            if changed is not None:
+                changed.Modified()
 
 
 def _make_cell_array(cells: Ints) -> Any:
@@ -135,7 +144,7 @@ def _make_lines(points: Any, edges: Ints) -> Any:
     return data
 
 
-def _make_surface_actor(data: Any, track: Track, pixel: float, scale: float) -> Any:
+def _make_surface_actor(data: Any, *, flat: bool) -> Any:
     from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
 
     mapper: Any = vtkPolyDataMapper()
@@ -149,21 +158,37 @@ def _make_surface_actor(data: Any, track: Track, pixel: float, scale: float) -> 
     look = actor.GetProperty()
     look.SetInterpolationToFlat()
     # in the plane there is nothing to shade
-    look.SetAmbient(1.0 if track.dimension == 2 else AMBIENT)
-    look.SetDiffuse(0.0 if track.dimension == 2 else DIFFUSE)
-    corners = track.rest[track.faces]
-    edge_pixels = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))) / pixel
-    # edges of a few pixels would hide the colors: they fade out from 18 pixels down to 3
-    opacity = float(np.clip((edge_pixels - 3) / 15, 0.0, 1.0)) * EDGE_OPACITY
-    if opacity > 0:
-        look.EdgeVisibilityOn()
-        look.SetEdgeColor(*EDGE_COLOR)
-        look.SetEdgeOpacity(opacity)
-        look.SetLineWidth(0.8 * scale)
+    look.SetAmbient(1.0 if flat else AMBIENT)
+    look.SetDiffuse(0.0 if flat else DIFFUSE)
     return actor
 
 
-def _make_line_actor(data: Any, color: tuple[float, float, float], width: float) -> Any:
+def _fade_edges(track: Track, pixel: float) -> float:
+    """Return the opacity of the lines between cells: those of a few pixels would hide the colors."""
+    corners = track.rest[track.faces]
+    if track.lines is None:
+        size = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
+    else:  # a face of a cell may be many triangles
+        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+        ends = track.rest[track.lines]
+        around = float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum())
+        size = 2 * float(areas.sum()) / max(around, 1e-300)  # the side, in a mesh of squares
+    # they fade out from 18 pixels down to 3
+    return float(np.clip((size / pixel - 3) / 15, 0.0, 1.0)) * EDGE_OPACITY
+
+
+def _show_sides(actor: Any, opacity: float, width: float) -> None:
+    """Let an actor draw the sides of its triangles."""
+    if not opacity:
+        return
+    look = actor.GetProperty()
+    look.EdgeVisibilityOn()
+    look.SetEdgeColor(*EDGE_COLOR)
+    look.SetEdgeOpacity(opacity)
+    look.SetLineWidth(width)
+
+
+def _make_line_actor(data: Any, color: tuple[float, float, float], width: float, opacity: float = 1.0) -> Any:
     from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
 
     mapper: Any = vtkPolyDataMapper()
@@ -173,6 +198,7 @@ def _make_line_actor(data: Any, color: tuple[float, float, float], width: float)
     look = actor.GetProperty()
     look.LightingOff()
     look.SetColor(*color)
+    look.SetOpacity(opacity)
     look.SetLineWidth(width)
     return actor
 
