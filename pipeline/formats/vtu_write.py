@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Fields
-from pipeline.formats.grid import CellArray
+from pipeline.formats.grid import CellArray, PolyhedronFaces
 from pipeline.formats.vtu_read import NUMPY_TYPES
 
 _TYPE_NAMES = {dtype: name for name, dtype in NUMPY_TYPES.items()}
@@ -41,8 +41,31 @@ def encode_static_parts(cells: CellArray, rest: NDArray[np.floating]) -> StaticP
         "offsets": cells.offsets[1:].astype(np.int64, copy=False),
         "types": cells.types,
     }
+    if cells.faces is not None:
+        arrays |= _list_faces(cells.faces)
     encoded = _encode_element("Cells", (_encode_array(*item, static=True) for item in arrays.items()))
     return StaticParts((len(rest), len(cells.types)), encoded, _encode_array("rest_position", rest, static=True))
+
+
+def _list_faces(faces: PolyhedronFaces) -> dict[str, NDArray[Any]]:
+    """Return the faces as all versions of ParaView read them: their number, then for each its size and points.
+
+    `faceoffsets` are the ends of the polyhedra in that list, -1 for other cells.
+    """
+    lengths = np.diff(faces.offsets)
+    # each face takes one place more than its points, and each polyhedron another one for the number of its faces
+    per_cell = np.diff(faces.cell_offsets)
+    places = np.concatenate([[0], np.cumsum(lengths + 1)])
+    ends = places[faces.cell_offsets[1:]] + np.cumsum(per_cell > 0)
+    stream = np.empty(int(places[-1]) + int((per_cell > 0).sum()), dtype=np.int64)
+    owner = np.repeat(np.cumsum(per_cell > 0), per_cell)  # the polyhedra up to that of each face, itself included
+    sizes_at = places[:-1] + owner
+    stream[sizes_at] = lengths
+    firsts = np.repeat(sizes_at + 1 - faces.offsets[:-1], lengths)
+    stream[np.arange(len(faces.connectivity)) + firsts] = faces.connectivity
+    whole = per_cell > 0
+    stream[sizes_at[faces.cell_offsets[:-1][whole]] - 1] = per_cell[whole]
+    return {"faces": stream, "faceoffsets": np.where(whole, ends, -1).astype(np.int64)}
 
 
 def encode_vtu(

@@ -139,7 +139,8 @@ class DeformationAccessor:
     def extract(self, cells: Any) -> "xarray.Dataset":
         """Return the dataset restricted to some cells, chosen by indices or a mask, and to their nodes."""
         mesh = self.mesh()
-        chosen = np.arange(len(mesh.cell_array.types))[np.asarray(cells)].reshape(-1)
+        indices = np.asarray(cells)
+        chosen = np.arange(len(mesh.cell_array.types))[indices].reshape(-1) if indices.size else indices
         if not chosen.size:
             raise SeriesError("no cells were chosen")
         part, nodes = select_cells(mesh, chosen)

@@ -95,10 +95,10 @@ def _attribute_field(text: str, units: str, location: str) -> dict[str, Any]:
 
 
 def _index_nodes(dims: tuple[str, ...], nodes: Ints, text: str, role: str) -> MeshVariable:
-    """Return a variable of node numbers; its fill value is in the encoding, as in datasets that xarray reads."""
+    """Return a variable of node numbers, integers with their fill value as an attribute, as if read without masks."""
     attributes: dict[str, Any] = {"long_name": text, "start_index": 0}
-    encoding = {"_FillValue": _MISSING} if (nodes < 0).any() else {}
-    return dims, nodes, attributes | ({"cf_role": role} if role else {}), encoding
+    attributes |= {"_FillValue": _MISSING} if (nodes < 0).any() else {}
+    return dims, nodes, attributes | ({"cf_role": role} if role else {}), {}
 
 
 def _describe_kinds(types: NDArray[np.uint8]) -> MeshVariable:
