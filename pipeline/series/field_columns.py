@@ -2,11 +2,12 @@
 
 from collections.abc import Collection, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from pipeline.errors import SeriesError
+from pipeline.errors import MeshChangedError, SeriesError
 from pipeline.formats.grid import Grid
 from pipeline.run.measures import STEPS, VARIABLES
 from pipeline.series.agreement import MEASURED, find_agreeing
@@ -32,7 +33,8 @@ def list_columns(
     count = len(series)
     sample = [0, count - 1] if own else choose_frames(count, first, store.capacity)
     chosen = list(range(count)) if scan_all else sorted(set(sample))
-    forms, notes = list_forms((series.files[i].name, grid) for i, grid in _iterate_frames(store, chosen))
+    changed = list[int]()
+    forms, notes = list_forms((series.files[i].name, grid) for i, grid in _iterate_frames(store, chosen, changed))
     sources = {(form.kind, form.source) for form in forms}
     known = _list_known(first) if own else find_agreeing(series, sources, _iterate_frames(store, sample))
     forms = [form for form in forms if not _is_hidden(form, known, series.layout.displacement)]
@@ -43,15 +45,34 @@ def list_columns(
     used = {*taken, *names.values()}
     columns += [_make_column(form, names[form.kind, form.source], store, used) for form in _sort_forms(forms)]
     if not own:
-        notes += [*name_notes, *describe_missing(forms), *_describe_sample(chosen, count)]
+        notes += [*name_notes, *describe_missing(forms), *_describe_changed(changed), *_describe_sample(chosen, count)]
     return columns, tuple(notes)
 
 
-def _iterate_frames(store: FrameStore, chosen: list[int]) -> Iterator[tuple[int, Grid]]:
-    """Yield the frames that can be read; the others are errors when their values are needed."""
+def _iterate_frames(
+    store: FrameStore, chosen: list[int], changed: list[int] | None = None
+) -> Iterator[tuple[int, Grid]]:
+    """Yield the frames that can be read; the others are errors when their values are needed.
+
+    Those with other cells than the mesh come without fields of points and cells, and are added to `changed`.
+    """
     for index in chosen:
         with suppress(SeriesError):
-            yield index, store.read_grid(index)
+            grid = store.read_grid(index)
+            try:
+                store.series.layout.arrange(grid, str(store.series.files[index]))
+            except MeshChangedError:
+                grid = replace(grid, point_data={}, cell_data={})
+                if changed is not None:
+                    changed.append(index)
+            yield index, grid
+
+
+def _describe_changed(changed: list[int]) -> list[str]:
+    """Return a note on frames whose cells are not those of the mesh."""
+    if not changed:
+        return []
+    return [f"{len(changed)} frames have other cells, first {changed[0]}: their fields of points and cells are NaN"]
 
 
 def _list_known(first: Grid) -> set[tuple[str, str]]:

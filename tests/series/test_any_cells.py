@@ -271,7 +271,9 @@ def test_a_dataset_without_cell_types_holds_simplices():
 # Files of frames
 
 
-def test_frames_of_any_cells_are_read_back(mesh, tmp_path):
+@pytest.mark.parametrize("name", ["tetrahedra", "triangles"])
+def test_frames_of_any_cells_are_read_back(name, tmp_path):
+    mesh = MESHES[name]()
     dataset = make_dataset(mesh)
     path = dataset.deformation.to_pvd(tmp_path / "a.pvd")
     with xarray.open_dataset(path, engine=SeriesBackend) as again:

@@ -270,3 +270,16 @@ def test_attributes_survive_in_frames(tmp_path):
     path = dataset.deformation.to_pvd(tmp_path / "again.pvd")
     assert ATTRIBUTES in read_series(path).read_grid(0).field_data
     assert open_lazily(path).attrs == dataset.attrs
+
+
+def test_frames_with_other_cells_are_nan(tmp_path):
+    """A remeshed frame: no values of points and cells, integers become floating, numbers of the body stay."""
+    path = write(tmp_path, *(({"n": np.arange(N)}, {"id": np.arange(E)}, {"work": [k]}) for k in range(3)))
+    other, cells = bar((3, 1, 1), (2.0, 1.0, 1.0))
+    write_vtu(tmp_path / "f_2.vtu", other, [(10, cells)], {"n": np.arange(len(other))}, {}, {"work": [2]})
+    dataset = open_lazily(path)
+    assert dataset["n"].dtype == np.float64 and dataset["work"].values.tolist() == [0, 1, 2]
+    for name in ("n", "id", "displacement"):
+        assert np.isnan(dataset[name][2]).all() and np.isfinite(dataset[name][:2]).all()
+    assert "1 frames have other cells, first 2" in dataset.attrs["comment"]
+    assert dataset.deformation.worst().volume_ratio == pytest.approx(1.1)
