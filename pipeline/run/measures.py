@@ -142,7 +142,8 @@ def measure(frame: Frame) -> Values:
         "volume_drift": np.asarray(total / rest - 1),
         "volume_ratio_mean": np.asarray((ratio * mesh.rest_volumes).sum() / rest),
         "volume_ratio_quantile": np.quantile(ratio, QUANTILES),
-        "inverted_count": np.asarray(float((cells.ratio_min <= 0).sum())),
+        # unknown if a cell has no numbers: a count of the others would look like good news
+        "inverted_count": np.asarray(np.nan if np.isnan(total) else float((cells.ratio_min <= 0).sum())),
         "center_of_mass": pad_to_space(mesh.node_volumes @ frame.x / rest),
         **frame.whole,
     }

@@ -83,6 +83,17 @@ def arrange_frame(
     return None if rest is None else _match_positions(grid, first, base, rest)
 
 
+def match_points(points: Floats, others: Floats) -> Ints | None:
+    """Return the place of each point (n, 3) among as many others, by position; None if they are not the same."""
+    from scipy.spatial import KDTree
+
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if points.shape != others.shape or not (np.isfinite(points).all() and np.isfinite(others).all()):
+        return None
+    distance, nearest = map(np.asarray, KDTree(others).query(points, distance_upper_bound=_APART * size))
+    return nearest.astype(np.int64) if np.isfinite(distance).all() else None
+
+
 def match_meshes(
     first: CellArray, points: Floats, others: CellArray, other_points: Floats, size: float
 ) -> Arrangement | None:

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.arrays import Floats
+from pipeline.arrays import Floats, Ints
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.grid import Grid
+from pipeline.series.arrangement import have_same_cells, match_points
 from pipeline.series.vector_fields import VectorField, find_vector_field, list_vector_fields
 
 _PRESSURES = ("p", "pressure", "p_rgh", "p_h", "ph")
@@ -63,13 +64,33 @@ class Evidence:
         self.first = self.grids[0]
         self.fields = list_vector_fields(self.grids.values())
         self._rest, self._x = rest, self.first.points
-        others = [grid for index, grid in self.grids.items() if index and grid.count == self.first.count]
-        self._others = [(grid, grid.points - self._x) for grid in others]
+        self._others: list[tuple[Grid, Ints | None, Floats]] = []  # grid, places of the first one's points, motion
+        for index, grid in self.grids.items():
+            if index and grid.count == self.first.count:
+                places = None if have_same_cells(grid, self.first) else self._find_places(grid)
+                if places is not None or have_same_cells(grid, self.first):
+                    x = grid.points if places is None else grid.points[places]
+                    self._others.append((grid, places, x - self._x))
+
+    def _find_places(self, grid: Grid) -> Ints | None:
+        """Return where a frame that lists its cells in another order has the points of the first; None if unknown.
+
+        Its points are those of the first, or become so without a displacement.
+        """
+        places = match_points(self._x, grid.points)
+        for field in self.fields.values() if places is None else ():
+            places = match_points(self._x - field.read(self.first), grid.points - field.read(grid))
+            if places is not None:
+                break
+        return places
 
     def measure(self, field: VectorField) -> _Motion:
         """Return how far points and field move in these frames, and from the rest points of a file if there are any."""
         start = field.read(self.first)
-        pairs = [(dx, field.read(grid) - start) for grid, dx in self._others]
+        pairs = []
+        for grid, places, dx in self._others:
+            values = field.read(grid)
+            pairs.append((dx, (values if places is None else values[places]) - start))
         if self._rest is not None:
             pairs.append((self._x - self._rest, start))
         points, moved, difference = 0.0, 0.0, 0.0
@@ -82,7 +103,7 @@ class Evidence:
     def motion(self) -> float:
         """Return how far the points move in these frames, and from the rest points of a file if there are any."""
         from_rest = [] if self._rest is None else [find_largest(self._x - self._rest)]
-        return max([0.0, *from_rest, *(find_largest(dx) for _, dx in self._others)])
+        return max([0.0, *from_rest, *(find_largest(dx) for *_, dx in self._others)])
 
     @property
     def shows_motion(self) -> bool:
@@ -94,7 +115,7 @@ class Evidence:
     @cached_property
     def rounding(self) -> float:
         """Return how far rounding can move a point: in single precision if all points are such numbers."""
-        points = [self._x, *(grid.points for grid, _ in self._others)]
+        points = [self._x, *(grid.points for grid, *_ in self._others)]
         single = all(np.array_equal(x.astype(np.float32), x, equal_nan=True) for x in points)
         largest = max(find_largest(x) for x in points)
         return _ROUNDING * float(np.spacing(np.float32(largest)) if single else np.spacing(largest))

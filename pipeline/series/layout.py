@@ -19,7 +19,7 @@ from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.cleanup import orient_cells
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 from pipeline.series.arrangement import Arrangement, arrange_frame, keep_ids
-from pipeline.series.displacement import SAME, Displacement, choose_displacement, collect_evidence
+from pipeline.series.displacement import SAME, Displacement, choose_displacement, collect_evidence, find_largest
 from pipeline.series.rest_state import FIELD, choose_rest_points, read_rest_file
 
 _LARGEST = 1e75  # [m]: volumes of larger bodies would overflow; larger coordinates count as not finite
@@ -81,37 +81,38 @@ class SeriesLayout:
 
     def compute_positions(self, grid: Grid, where: str) -> Floats:
         """Return the positions of a frame (n, d), NaN if they are not finite; raises SeriesError if they do not fit."""
-        points = self.arrange(grid, where).select_nodes(self.read_points(grid, where))
+        arrangement = self.arrange(grid, where)
+        points = np.array(arrangement.select_nodes(grid.points))
+        field = self.motion.field
+        if field is not None and self.motion.is_added:
+            moved = arrangement.select_nodes(field.read(grid))
+            self._check_rest(points, moved, where)
+            points += moved
         points[~(np.abs(points) < _LARGEST).all(axis=1)] = np.nan  # negated so that NaN counts too
         return drop_z(points, where) if self.mesh.dimension == 2 else np.ascontiguousarray(points)
 
-    def read_points(self, grid: Grid, where: str) -> Floats:
-        """Return the deformed points of a file (n, 3), in its order; raises SeriesError."""
-        return add_displacement(grid, self.motion, self.grid, where)
+    def _check_rest(self, points: Floats, moved: Floats, where: str) -> None:
+        """Raise SeriesError if points to which the displacement is added move themselves."""
+        first = self.arrangement.select_nodes(self.grid.points)
+        if np.array_equal(points, first):
+            return
+        strayed, most = find_largest(points - first), find_largest(moved)
+        if strayed > SAME * max(most, float(np.ptp(first))):
+            name = self.motion.field.label if self.motion.field is not None else ""
+            raise SeriesError(
+                f"{where}: the points move by up to {strayed:.3g}, unlike those of the frames that were compared: say "
+                f'whether displacement = "{shorten(name)}" must be added to them, or "none"'
+            )
+
+    def read_points(self, grid: Grid) -> Floats:
+        """Return the deformed points (n, 3) of a file that may have other cells, in its order."""
+        field = self.motion.field
+        return grid.points if field is None or not self.motion.is_added else grid.points + field.read(grid)
 
     def find_point(self, node: int) -> int:
         """Return the number that a node of the mesh has in the files."""
         nodes = self.arrangement.nodes
         return int(node if nodes is None else nodes[node])
-
-
-def add_displacement(grid: Grid, motion: Displacement, first: Grid, where: str) -> Floats:
-    """Return the deformed points of a grid (n, 3), a new array.
-
-    Raises SeriesError if the points of a series whose displacement is added move themselves.
-    """
-    points = np.array(grid.points)
-    if motion.field is None or not motion.is_added:
-        return points
-    moved = motion.field.read(grid)
-    if grid.count == first.count and not np.array_equal(points, first.points):
-        strayed, most = np.nanmax(np.abs(points - first.points)), np.nanmax(np.abs(moved))
-        if strayed > SAME * max(most, float(np.ptp(first.points))):
-            raise SeriesError(
-                f"{where}: the points move by up to {strayed:.3g}, unlike those of the frames that were compared: say "
-                f'whether displacement = "{shorten(motion.field.label)}" must be added to them, or "none"'
-            )
-    return points + moved
 
 
 def drop_z(points: Floats, where: str) -> Floats:

@@ -114,7 +114,7 @@ class Series:
     def _make_changed_frame(self, index: int, grid: Grid, reason: str) -> Frame:
         """Return a frame whose cells are not those of the mesh."""
         member, layout = self.members[index], self.layout
-        volume = measure_changed_body(grid, layout.read_points(grid, str(member.file)), self.mesh.dimension)
+        volume = measure_changed_body(grid, layout.read_points(grid), self.mesh.dimension)
         drift = volume / self.mesh.rest_volumes.sum() - 1
         whole = {"total_volume": np.asarray(volume), "volume_drift": np.asarray(drift)}
         x = np.full(self.mesh.points.shape, np.nan)
