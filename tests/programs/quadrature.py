@@ -40,6 +40,16 @@ KINDS = {
         "prism",
     ),
     "triangle": (SIMPLEX[:3], [(0, 0, 0), (1, 0, 0), (0, 1, 0)], "triangle"),
+    "triangle_6": (
+        with_midpoints(SIMPLEX[:3], SIMPLEX_EDGES[:3]),
+        monomials(lambda i, j, k: k == 0 and i + j <= 2),
+        "triangle",
+    ),
+    "quadrilateral_8": (
+        with_midpoints(CUBE[:4], CUBE_EDGES[:4]),
+        monomials(lambda i, j, k: k == 0 and i + j <= 3 and max(i, j) <= 2),
+        "square",
+    ),
     "quadrilateral": (CUBE[:4], [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)], "square"),
 }
 
