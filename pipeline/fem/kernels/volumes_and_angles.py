@@ -35,4 +35,4 @@ def measure_cells(x, cells, G, volumes, angles):
             volumes[first + l] = six / 6.0
             a0, a1, a2 = R[7, l] - R[5, l], R[2, l] - R[6, l], R[3, l] - R[1, l]
             sine, cosine = np.sqrt(a0 * a0 + a1 * a1 + a2 * a2), R[0, l] + R[4, l] + R[8, l] - 1.0
-            angles[first + l] = np.arctan2(sine, cosine)
+            angles[first + l] = np.arctan2(sine, cosine) + 0.0 * volumes[first + l]  # NaN if a position is
