@@ -126,7 +126,7 @@ def record(
 
 def _update_summary(summary: RunSummary, frame: Frame, measured: Values) -> RunSummary:
     ratio = measured["volume_ratio"]
-    cell = int(np.abs(ratio - 1).argmax())
+    cell = int(np.nan_to_num(np.abs(ratio - 1), nan=-1.0).argmax())  # cells without data are not the worst
     worse = abs(ratio[cell] - 1) > abs(summary.worst_volume_ratio - 1)
     work = frame.work or Work()
     setup = work.seconds if not summary.frames else summary.setup_seconds

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Floats
 from pipeline.errors import OutputError
@@ -26,20 +27,24 @@ RUNGS = tuple(zip(RUNG_NAMES, (GREEN, BLUE, VERMILION), strict=True))  # by step
 def write_volume_figure(dataset: "xarray.Dataset", path: Path, *, title: str) -> None:
     """Write the volume ratio of every cell over time, one panel for each variant, the worst cell marked.
 
-    Takes volume_ratio (variant, time, cell) and rest_volume (cell). Above 2000 cells, bands of quantiles
-    replace the lines. Frames with NaN, as after a failure, are left out. Raises OutputError if the file
-    cannot be written.
+    Takes volume_ratio (variant, time, cell) and rest_volume (cell), and volume_ratio_min and volume_ratio_max if the
+    cells are curved. Above 2000 cells, bands of quantiles replace the lines. Values that are NaN, as after a failure,
+    are left out. Raises OutputError if the file cannot be written.
     """
     variants, time = _list_variants(dataset), dataset["time"].values
     ratio = dataset["volume_ratio"].transpose("variant", "time", "cell").values
+    extremes = _find_extremes(dataset)
     with _open_panels(path, len(variants), title) as figure:
         panels = _make_panels(figure, variants)
         for axes, values in zip(panels, ratio, strict=True):
             _draw_ratios(axes, time, values)
+        for axes, edges in zip(panels, extremes, strict=False):  # there are none for linear simplices
+            axes.plot(time, edges.T, linestyle=(0, (1, 2)), color=INK, linewidth=1.0, zorder=2)
         cells = ratio.shape[2]
         meaning = "light to dark: extremes, 5–95 %, 25–75 %, median" if cells > MOST_LINES else "one line each"
-        figure.supxlabel(f"{cells} cells, {meaning}; the worst cell in orange", fontsize=8, color=SOFT)
-        _set_limits(panels, time, ratio)
+        dots = "; dotted: smallest and largest det F in any cell" if len(extremes) else ""
+        figure.supxlabel(f"{cells} cells, {meaning}; the worst cell in orange{dots}", fontsize=8, color=SOFT)
+        _set_limits(panels, time, np.concatenate([ratio.ravel(), extremes.ravel()]))
         _label_outer(panels, "volume ratio V / V₀")
         rest = dataset["rest_volume"].values
         # 1e-6: far above rounding, far below what the axis can show
@@ -175,29 +180,49 @@ def _draw_ratios(axes: "Axes", time: Floats, values: Floats) -> None:
     from matplotlib.collections import LineCollection
 
     axes.axhline(1, color=INK, linewidth=0.9, linestyle=(0, (4, 3)), zorder=2)
-    good = np.isfinite(values).all(axis=1)
+    good: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=1))
     if not good.any():
         axes.text(0.5, 0.5, "no frames", transform=axes.transAxes, ha="center", color=SOFT)
         return
-    t, ratio = time[good], values[good]
+    span = slice(int(good.argmax()), len(good) - int(good[::-1].argmax()))  # from the first frame to the last one
+    t, ratio = time[span], values[span]
     cells = ratio.shape[1]
     if cells > MOST_LINES:
-        for low, high, opacity in BANDS:
-            edges = np.quantile(ratio, [low, high], axis=1)
-            axes.fill_between(t, edges[0], edges[1], color=BLUE, alpha=opacity, linewidth=0, zorder=1)
-        axes.plot(t, np.median(ratio, axis=1), color=BLUE, linewidth=1.2, zorder=2)
+        levels = [level for low, high, _ in BANDS for level in (low, high)]
+        *edges, median = _find_quantiles(ratio, [*levels, 0.5])
+        for i, (_, _, opacity) in enumerate(BANDS):
+            axes.fill_between(t, edges[2 * i], edges[2 * i + 1], color=BLUE, alpha=opacity, linewidth=0, zorder=1)
+        axes.plot(t, median, color=BLUE, linewidth=1.2, zorder=2)
     else:
         lines = np.stack([np.broadcast_to(t, (cells, len(t))), ratio.T], axis=-1)
         opacity = float(np.clip(30 / cells, 0.06, 0.6))  # 30 lines on top of each other are opaque
         axes.add_collection(LineCollection(list(lines), colors=BLUE, alpha=opacity, linewidths=0.6, zorder=1))
-    if not good.all():
+    if not good[-1]:
         axes.set_title(f"ends after t = {t[-1]:.4g} s", loc="right", fontsize=9, fontweight="normal", color=VERMILION)
     _mark_worst(axes, t, ratio, early=(t[0] + t[-1]) / 2 < (time[0] + time[-1]) / 2)
 
 
+def _find_quantiles(ratio: Floats, levels: list[float]) -> Floats:
+    """Return quantiles (q, t) of the cells of every frame (t, e) that have a value; NaN if none has."""
+    out = np.full((len(levels), len(ratio)), np.nan)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(ratio).any(axis=1))
+    whole = bool(np.isfinite(ratio[known]).all())
+    out[:, known] = (np.quantile if whole else np.nanquantile)(ratio[known], levels, axis=1)
+    return out
+
+
+def _find_extremes(dataset: "xarray.Dataset") -> Floats:
+    """Return the smallest and the largest det F in any cell (variant, 2, time); empty if they were not recorded."""
+    names = ("volume_ratio_min", "volume_ratio_max")
+    if not all(name in dataset for name in names):
+        return np.empty((0, 2, 0))
+    low, high = dataset[names[0]].min("cell"), dataset[names[1]].max("cell")  # without NaN
+    return np.stack([edge.transpose("variant", "time").values for edge in (low, high)], axis=1)
+
+
 def _mark_worst(axes: "Axes", t: Floats, ratio: Floats, *, early: bool) -> None:
     """Draw the cell with the largest |J - 1| as a thick line and label its peak."""
-    when, cell = np.unravel_index(int(np.abs(ratio - 1).argmax()), ratio.shape)
+    when, cell = np.unravel_index(int(np.nan_to_num(np.abs(ratio - 1), nan=-1.0).argmax()), ratio.shape)
     value = ratio[when, cell]
     axes.plot(t, ratio[:, cell], color=VERMILION, linewidth=1.8, zorder=3)
     axes.plot(t[when], value, "o", color=VERMILION, markersize=5, markeredgecolor="white", zorder=4)

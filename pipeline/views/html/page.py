@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.netcdf import open_dataset
+from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.series import Series
 from pipeline.views.cell_text import describe_cells
 from pipeline.views.html.blocks import (
@@ -29,6 +30,7 @@ from pipeline.views.html.blocks import (
 from pipeline.views.html.curves import collect_curves, find_worst_frame
 from pipeline.views.html.solids import OnFrameRead, Solids, pack_solids
 from pipeline.views.html.worst import WorstCell, find_worst_cells
+from pipeline.views.size_text import describe_size
 
 MOST_MOVIE_BYTES = 4_000_000  # a larger film is linked, not embedded
 WORST = 5  # cells of each series
@@ -118,7 +120,7 @@ def _render_parts(
         _render_movie(content, folder) if content.movie else "",
         _render_motion(solids, labels),
         render_block(Heading(_WORST)),
-        _render_worst_table(labels, worst, content.dimension),
+        _render_worst_table(labels, worst, content.sides[0].series.mesh),
         *(render_block(block) for block in content.closing),
         render_block(Heading("Notes")) + _render_list(notes),
     ]
@@ -143,12 +145,11 @@ def _render_summary(content: PageContent, curves: Sequence[Curves], worst: Seque
 
 
 def _describe(label: str, curves: Curves, worst: WorstCell) -> str:
-    drift = _keep_finite(curves["total"])[-1] - 100
     verb = "grows" if worst.volume_ratio > 1 else "shrinks" if worst.volume_ratio > 0 else "inverts"
+    total = np.array(curves["total"], dtype=np.float64) / 100
     return (
         f"{label}: cell {worst.cell} {verb} to {worst.volume_ratio:.4g} times its rest volume at "
-        f"t = {worst.time:.4g} s; at the end the whole body is {abs(drift):.2g} % "
-        f"{'larger' if drift > 0 else 'smaller'} than at rest."
+        f"t = {worst.time:.4g} s; {describe_size(np.array(curves['times'], dtype=np.float64), total)}."
     )
 
 
@@ -196,14 +197,17 @@ def _render_motion(solids: Solids | None, labels: Sequence[str]) -> str:
     return text
 
 
-def _render_worst_table(labels: Sequence[str], worst: Sequence[Sequence[WorstCell]], dimension: int) -> str:
+def _render_worst_table(labels: Sequence[str], worst: Sequence[Sequence[WorstCell]], mesh: BodyMesh) -> str:
     """Return HTML of the worst cells; a button in each row shows everything at that time."""
-    head = ("series", "cell", "V/V₀", "time [s]", "cell center at rest [m]")
+    curved = any(cell.extremes is not None for cells in worst for cell in cells)
+    more = ("smallest det F in it", "largest") if curved else ()
+    head = ("series", "cell", "V/V₀", *more, "time [s]", "cell center at rest [m]")
     columns = "".join(f'<th scope="col">{text}</th>' for text in head) + '<th scope="col" class="screen">go to</th>'
     rows = []
     for label, cell in ((label, cell) for label, cells in zip(labels, worst, strict=True) for cell in cells):
-        place = ", ".join(f"{value:.4g}" for value in cell.place[:dimension])
-        texts = (str(cell.cell), f"{cell.volume_ratio:.5g}", f"{cell.time:.5g}", f"({place})")
+        place = ", ".join(f"{value:.4g}" for value in cell.place[: mesh.points.shape[1]])
+        extremes = [f"{value:.5g}" for value in cell.extremes] if cell.extremes else ["", ""] if curved else []
+        texts = (str(cell.cell), f"{cell.volume_ratio:.5g}", *extremes, f"{cell.time:.5g}", f"({place})")
         name = f"Show the time of cell {cell.cell} of {label}"
         rows.append(
             f'<tr><th scope="row">{escape(label)}</th>'

@@ -16,12 +16,16 @@ _VALUES = 4_000_000  # volume ratios read at once: 32 MB
 
 @dataclass(frozen=True)
 class WorstCell:
-    """A cell at its largest |V / V0 - 1|: its volume ratio, the time [s], and its center at rest [m]."""
+    """A cell at its largest |V / V0 - 1|: its volume ratio, the time [s], and its center at rest [m].
+
+    `extremes` are the smallest and largest det F in it at that time, if it is not a linear simplex.
+    """
 
     cell: int
     volume_ratio: float
     time: float
     place: tuple[float, ...]
+    extremes: tuple[float, float] | None = None
 
 
 def find_worst_cells(statistics: "xarray.Dataset", mesh: BodyMesh, count: int) -> list[WorstCell]:
@@ -33,9 +37,18 @@ def find_worst_cells(statistics: "xarray.Dataset", mesh: BodyMesh, count: int) -
     middles = mesh.centers[order]
     times = statistics["time"].values[frame[order]]
     return [
-        WorstCell(int(cell), float(ratio[cell]), float(time), tuple(middle))
+        WorstCell(int(cell), float(ratio[cell]), float(time), tuple(middle), _read_extremes(statistics, cell, frame))
         for cell, time, middle in zip(order, times, middles.tolist(), strict=True)
     ]
+
+
+def _read_extremes(statistics: "xarray.Dataset", cell: int, frame: np.ndarray) -> tuple[float, float] | None:
+    """Return the smallest and the largest det F in a cell at its frame, if they were recorded."""
+    names = ("volume_ratio_min", "volume_ratio_max")
+    if not all(name in statistics for name in names):
+        return None
+    low, high = (float(statistics[name].isel(time=int(frame[cell]), cell=int(cell))) for name in names)
+    return low, high
 
 
 def _find_extremes(ratios: "xarray.DataArray") -> tuple[Floats, np.ndarray]:

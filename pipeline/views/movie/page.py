@@ -100,11 +100,13 @@ class Page:
             parts.append((f"ends at t = {track.times[-1]:.{self._time_digits}f} s", FAILED))
         elif np.isfinite(total):
             span = f"total volume {100 * total:.1f} %{span}"
-        parts.append((span, SOFT))
+        if span.strip():
+            parts.append((span if parts else span.strip(), SOFT))
         if track.inverted[index] and not ended:
             parts.append((f"     {track.inverted[index]} inverted", INVERTED))
         if gap is not None:
-            parts.append((f"     no data of cells from t = {gap:.{self._time_digits}f} s", FAILED))
+            space = "     " if parts else ""
+            parts.append((f"{space}no cell data from t = {gap:.{self._time_digits}f} s", FAILED))
         elif track.unknown[index]:
             parts.append((f"     {track.unknown[index]} cells without data", FAILED))
         line = "".join(text for text, _ in parts)
@@ -121,13 +123,13 @@ class Page:
         """Darken the curve up to the present and put a dot on it."""
         left, top, right, bottom = self._layout.place_curve(rect)
         x, y = self._project_curve(track, rect)[index]
-        if not np.isfinite(y):
-            return
         pad = round(4 * self._layout.unit)
         until = round(np.clip(x, left, right))
         box = (left - pad, top - pad, until, bottom + pad)
         if until > box[0]:
             page.paste(self._passed.crop(box), box[:2])
+        if not np.isfinite(y):
+            return
         radius, fine = 4.2 * self._layout.unit, 8
         side = int(2 * radius) + 4
         corner = (int(x - side / 2), int(y - side / 2))
@@ -239,7 +241,8 @@ class Page:
         x, y = 104 * o * s, o * (layout.footer + 44 * s)
         rows = [(OUTLINE, "rest shape")]
         if any(track.inverted.any() for track in self._tracks):
-            rows.append((INVERTED, "inverted (V ≤ 0)"))
+            curved = any(track.lines is not None for track in self._tracks)
+            rows.append((INVERTED, f"inverted ({'det F' if curved else 'V'} ≤ 0)"))
         if any(track.unknown.any() for track in self._tracks):
             rows.append((UNKNOWN, "no data"))
         for i, (color, text) in enumerate(rows):
