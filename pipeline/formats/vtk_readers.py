@@ -20,7 +20,8 @@ class VtkReader(NamedTuple):
 
     `by_number` sets a step by its number, so that equal times stay apart; otherwise the time is requested.
     `node_number` is the point field that tells the points that blocks share. `dropped` names fields that repeat
-    others. `listens` takes what VTK prints as an error too.
+    others. `listens` takes what VTK prints as an error too. `find_fault` tells why a file with so many steps is
+    damaged.
     """
 
     module: str
@@ -30,16 +31,21 @@ class VtkReader(NamedTuple):
     node_number: str = ""
     dropped: tuple[str, ...] = ()
     listens: bool = False
+    find_fault: Callable[[Path, int], str | None] | None = None
 
     def read(self, file: Path, step: int) -> Grid:
         """Return one instant of a file; raises SeriesError if it cannot be read or has no cells."""
         with self._open(file) as reader:
             times = _list_times(reader)
+            if step >= max(1, len(times or [])):
+                raise SeriesError(f"{file}: it has {len(times or [])} steps, none with the number {step}")
+            if self.find_fault is not None and (fault := self.find_fault(file, len(times or []))):
+                raise SeriesError(f"{file}: cannot be read: {fault}")
             if self.by_number:
                 getattr(reader, self.by_number)(step)
                 reader.Update()
             elif times:
-                reader.UpdateTimeStep(times[min(step, len(times) - 1)])
+                reader.UpdateTimeStep(times[step])
             else:
                 reader.Update()
         grid = make_grid(reader.GetOutputDataObject(0), file, node_number=self.node_number)

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from pipeline.formats.solver_checks import find_dyna_fault, find_ensight_fault, find_exodus_fault
 from pipeline.formats.vtk_readers import VtkReader
 
 
@@ -64,8 +65,20 @@ EXODUS = VtkReader(
     node_number="ImplicitNodeId",
     dropped=("PedigreeNodeId", "PedigreeElementId", "ElementBlockIds", "Title"),
     listens=True,
+    find_fault=find_exodus_fault,
 )
-ENSIGHT = VtkReader("vtkIOEnSight", "vtkGenericEnSightReader", _set_up_ensight, listens=True)
+ENSIGHT = VtkReader(
+    "vtkIOEnSight", "vtkGenericEnSightReader", _set_up_ensight, listens=True, find_fault=find_ensight_fault
+)
 OPENFOAM = VtkReader("vtkIOParallel", "vtkPOpenFOAMReader", _set_up_openfoam, listens=True)
-DYNA = VtkReader("vtkIOLSDyna", "vtkLSDynaReader", _set_up_dyna, by_number="SetTimeStep", listens=True)
+# its node numbers are wrong in single precision: VTK takes pairs of them for one number
+DYNA = VtkReader(
+    "vtkIOLSDyna",
+    "vtkLSDynaReader",
+    _set_up_dyna,
+    by_number="SetTimeStep",
+    dropped=("UserID",),
+    listens=True,
+    find_fault=find_dyna_fault,
+)
 CGNS = VtkReader("vtkIOCGNSReader", "vtkCGNSReader", _set_up_cgns, listens=True)
