@@ -7,7 +7,11 @@ import pytest
 import xarray
 import xugrid
 
+from pipeline.case import load_case
+from pipeline.cli import main
+from pipeline.results.case_run import run_case
 from pipeline.series.xarray_plugin import SeriesBackend
+from tests.bodies import write_case
 from tests.foreign.writers import STRETCHES, bar, index, plate, stretch, write_vtu
 
 TRIANGLE, PIXEL, QUAD, TETRAHEDRON = 5, 8, 9, 10
@@ -120,3 +124,19 @@ def test_all_units_of_statistics_parse():
         for dimension in (2, 3):
             cf_xarray.units.units(get_units(name, dimension))
     assert cf_xarray.units.units("m3").dimensionality == cf_xarray.units.units("m^3").dimensionality
+
+
+def test_statistics_of_a_run_and_of_an_analysis_are_conventional(tmp_path):
+    """cf_xarray finds time and its dimension, and pint reads the unit of every variable."""
+    folder = run_case(load_case(write_case(tmp_path, movie=None)), tmp_path / "out", movie=False).folder
+    assert main(["analyze", str(folder / "linear" / "series.pvd"), "--out", str(tmp_path / "analysis")]) == 0
+    for path in (folder / "linear" / "statistics.nc", folder / "comparison.nc", tmp_path / "analysis" / "statistics.nc"):
+        with xarray.open_dataset(path, engine="netcdf4") as dataset:
+            assert dataset.cf.axes == {"T": ["time"]} and dataset.cf.standard_names == {"time": ["time"]}
+            assert dataset.cf["T"].name == "time" and dataset.cf.isel(T=-1)["time"] == dataset["time"][-1]
+            numbers = [name for name in dataset.variables if dataset[name].dtype.kind == "f"]
+            assert len(numbers) > 8
+            for name in numbers:
+                cf_xarray.units.units(dataset[name].attrs["units"])
+            quantities = dataset.load().pint.quantify(unit_registry=cf_xarray.units.units)
+            assert quantities["rotation_angle"].pint.to("radian").max().item().magnitude < np.pi
