@@ -93,8 +93,9 @@ def _create(path: Path, mesh: BodyMesh, measured: Values, title: str) -> Any:
     d, e = mesh.dimension, len(mesh.cell_array.types)
     steps = [name for name in STEPS if name in measured]
     sizes = {"time": None, "cell": e, "axis": 3, "quantile": len(QUANTILES), **({"step": None} if steps else {})}
+    time = {**make_attributes("time", d), "standard_name": "time", "axis": "T"}
     variables = {
-        "time": NetcdfVariable(("time",), make_attributes("time", d) | {"standard_name": "time", "axis": "T"}, chunks=(CHUNK_FRAMES,)),
+        "time": NetcdfVariable(("time",), time, chunks=(CHUNK_FRAMES,)),
         "quantile": NetcdfVariable(("quantile",), make_attributes("quantile", d), QUANTILES),
         "axis": NetcdfVariable(("axis",), make_attributes("axis", d), np.array(AXES, dtype=object), dtype=str),
         "rest_volume": NetcdfVariable(("cell",), make_attributes("rest_volume", d), mesh.rest_volumes),
