@@ -53,8 +53,8 @@ def list_entries():
 def find_centers(series: Series) -> np.ndarray:
     """Return the means (cell, d) of the corners of the cells at rest, in space."""
     cells, X = series.mesh.cell_array, series.mesh.points
-    corners = [int(CORNERS[int(kind)]) for kind in cells.types]
     firsts = cells.offsets[:-1]
+    corners = [CORNERS.get(kind, n) for kind, n in zip(cells.types.tolist(), np.diff(cells.offsets), strict=True)]
     return np.array([X[cells.connectivity[i : i + n]].mean(axis=0) for i, n in zip(firsts, corners, strict=True)])
 
 
@@ -76,6 +76,8 @@ def test_the_numbers_are_those_of_the_program(folder, entry):
         values = measure(frame)
         assert values["total_volume"] == pytest.approx(entry["total_volume"][k], rel=tolerance)
         assert values["volume_ratio"] == pytest.approx(np.array(entry["volume_ratio"][k])[order], rel=10 * tolerance)
+        if entry["rotation_angle"] is None:  # the program has none
+            continue
         angles = np.array(entry["rotation_angle"][k])[order]
         # An angle near 0 is the root of a difference of rounding errors.
         assert values["rotation_angle"] == pytest.approx(angles, abs=max(1e-5, 1e3 * tolerance))

@@ -82,10 +82,54 @@ def run(folder, *commands):
             raise SystemExit(command + result.stdout[-3000:] + result.stderr[-3000:])
 
 
+def copy_case(case):
+    """Copy mesh, motion and fields beside this script, and make the empty file .foam that names the case."""
+    unneeded = shutil.ignore_patterns("uniform", "*.obj", "meshPhi", "VTK", "system", "sigma*", "*Properties", "*Zones")
+    shutil.copytree(case, HERE / case.name, ignore=unneeded)
+    shutil.copytree(case / "system", HERE / case.name / "system", ignore=shutil.ignore_patterns("fv*", "blockMeshDict"))
+    (HERE / case.name / f"{case.name}.foam").touch()
+
+
 def read_points(path):
     """Return the points (n, 3) of a file polyMesh/points."""
     rows = re.findall(r"^\(([^()]+)\)$", path.read_text(), re.MULTILINE)
     return np.array([row.split() for row in rows], dtype=float)
+
+
+def read_lists(path):
+    """Return the lists of numbers of a file polyMesh/faces, or the numbers of owner and neighbour."""
+    text = path.read_text().split("// * *", 1)[1]
+    if path.name == "faces":
+        return [np.array(row.split(), dtype=int) for row in re.findall(r"^\d+\(([^()]+)\)$", text, re.MULTILINE)]
+    return np.array(text[text.index("(") + 1 : text.index(")")].split(), dtype=int)
+
+
+def read_volumes(path):
+    """Return OpenFOAM's own volumes of the cells, from its field V."""
+    text = path.read_text()
+    return np.array(re.search(r"List<scalar>\s+\d+\s+\(([^()]+)\)", text)[1].split(), dtype=float)
+
+
+def describe_polyhedra(case, times):
+    """Return the entry for the case of polyhedra. Volumes are OpenFOAM's own; there is no F in it."""
+    mesh = case / "constant" / "polyMesh"
+    X, faces = read_points(mesh / "points"), read_lists(mesh / "faces")
+    nodes = {}
+    for name in ("owner", "neighbour"):
+        for face, cell in zip(faces, read_lists(mesh / name), strict=False):
+            nodes.setdefault(int(cell), set()).update(face.tolist())
+    volumes = [read_volumes(case / f"{t:g}" / "V") for t in times]
+    entry = make_expectation(
+        "OpenFOAM 1912",
+        "polyhedra/polyhedra.foam",
+        times,
+        centers=[X[sorted(nodes[cell])].mean(axis=0) for cell in range(len(volumes[0]))],
+        rest_volumes=volumes[0],
+        volumes=volumes,
+        gradients=np.tile(np.eye(3), (len(times), len(volumes[0]), 1, 1)),
+        accuracy=1e-4,  # OpenFOAM divides a face that is not plane about another point
+    )
+    return entry | {"rotation_angle": None}
 
 
 def make_cells():
@@ -98,7 +142,7 @@ def make_cells():
 
 
 def main():
-    for name in ("twist", "vtk", "ensight", "solid"):
+    for name in ("twist", "vtk", "ensight", "solid", "polyhedra"):
         shutil.rmtree(HERE / name, ignore_errors=True)
     with tempfile.TemporaryDirectory() as temporary:
         case = Path(temporary) / "twist"
@@ -106,13 +150,15 @@ def main():
         run(case, "blockMesh", "moveDynamicMesh", "foamToVTK -ascii -no-boundary", "foamToEnsight -ascii -noPatches")
         shutil.move(case / "VTK", HERE / "vtk")
         shutil.move(case / "EnSight", HERE / "ensight")
-        shutil.copytree(case, HERE / "twist")
-        (HERE / "twist" / "twist.foam").touch()
+        copy_case(case)
+        case = Path(temporary) / "polyhedra"
+        write_case(case, MOTION)
+        run(case, "blockMesh", "polyDualMesh 60 -overwrite", "moveDynamicMesh", "postProcess -func writeCellVolumes")
+        copy_case(case)
         case = Path(temporary) / "solid"
         write_case(case, SOLID)
         run(case, "blockMesh", "solidDisplacementFoam", "foamToVTK -no-boundary")
-        shutil.copytree(case, HERE / "solid")
-        (HERE / "solid" / "solid.foam").touch()
+        copy_case(case)
     folders = sorted((HERE / "twist").glob("[0-9]*"), key=lambda path: float(path.name))
     times = [float(path.name) for path in folders]
     rest = read_points(HERE / "twist" / "constant" / "polyMesh" / "points")
@@ -123,6 +169,7 @@ def main():
     write_expected(
         HERE,
         solid,
+        describe_polyhedra(HERE / "polyhedra", times),
         *(
             make_expectation(
                 "OpenFOAM 1912",
