@@ -71,8 +71,9 @@ test-paraview: setup ## Test reading and drawing in Debian's ParaView; as root, 
 quick: setup ## Run the tests that take at most a few seconds each
 	$(PYTEST) -m "not slow"
 
-fuzz: setup ## Try 10 000 bad inputs and 100 kills at random moments; minutes
-	PIPELINE_FUZZ=10000 PIPELINE_KILLS=100 $(PYTEST) tests/formats/test_fuzz.py tests/results/test_faults.py -k "files or kill_9"
+fuzz: setup ## Try 10 000 bad inputs, 10 000 files of every layout, and 100 kills at random moments; minutes
+	PIPELINE_FUZZ=10000 PIPELINE_KILLS=100 $(PYTEST) tests/formats/test_fuzz.py tests/formats/test_differential.py \
+		tests/results/test_faults.py -k "files or differential or kill_9"
 
 lint: .venv/installed ## Run ruff check, ruff format --check and mypy
 	$(BIN)/ruff check .

@@ -180,6 +180,21 @@ def _meshio(path: Path, t: float, **options: Any) -> None:
     meshio.write(path, meshio.Mesh(POINTS * (1 + t), [("tetra", CELLS)]), **options)
 
 
+def _tetgen(path: Path) -> None:
+    nodes = "".join(f"{i} {x} {y} {z}\n" for i, (x, y, z) in enumerate(POINTS.tolist()))
+    cells = "".join(f"{i} {' '.join(map(str, row))} 1\n" for i, row in enumerate(CELLS.tolist()))
+    path.with_suffix(".node").write_text(f"{len(POINTS)} 3 0 0\n{nodes}")
+    path.write_text(f"{len(CELLS)} 4 1\n{cells}")
+
+
+ABAQUS = (
+    "*Heading\n*Part, name=A\n*System\n1., 0., 0., 1., 1., 0., 0., 0., 0.\n*Node\n"
+    + "".join(f"{i + 1}, {x}, {y}, {z}\n" for i, (x, y, z) in enumerate(POINTS.tolist()))
+    + "*Element, type=C3D4, elset=all\n"
+    + "".join(f"{i + 1}, {', '.join(str(v + 1) for v in row)}\n" for i, row in enumerate(CELLS.tolist()))
+    + "*End Part\n*Assembly, name=B\n*Instance, name=A-1, part=A\n5., 0., 0.\n5., 0., 0., 5., 0., 1., 90.\n"
+    "*End Instance\n*Instance, name=A-2, part=A\n*End Instance\n*End Assembly\n"
+)
 WRITERS: dict[str, tuple[str, Callable[[Path, float], None]]] = {
     "vtu zlib": ("vtu", _vtu),
     "vtu raw": ("vtu", lambda path, t: _vtu(path, t, compress="None")),
@@ -197,6 +212,8 @@ MESHES = WRITERS | {
     "gmsh ascii": ("msh", lambda path, t: _meshio(path, t, file_format="gmsh", binary=False)),
     "medit": ("mesh", _meshio),
     "abaqus": ("inp", _meshio),
+    "abaqus parts": ("inp", lambda path, t: path.write_text(ABAQUS)),
+    "tetgen": ("ele", lambda path, t: _tetgen(path)),
     "nastran": ("bdf", _meshio),
     "xdmf": ("xdmf", lambda path, t: _meshio(path, t, data_format="XML")),
 }

@@ -35,6 +35,7 @@ _COMPRESSORS = {None: False, "vtkZLibDataCompressor": True}
 _BYTE_ORDERS = {"LittleEndian": "<", "BigEndian": ">"}
 _HEADERS = {"UInt32": "I", "UInt64": "Q"}  # as struct names them
 _WORD_BYTES = {"I": 4, "Q": 8}
+_HEADER_BYTES = (0, 4, 8)  # before numbers that are not compressed; 0 if the header was encoded by itself
 _SECTIONS = {"PointData": "NumberOfPoints", "CellData": "NumberOfCells"}
 _HEAD, _NOT_INLINE = 4096, (b'format="appended"', b'format="ascii"')  # marks a file whose rest need not be read
 # a file that decodes to more than the first, and to more than the second times its size, is left to the sandbox
@@ -78,6 +79,9 @@ def unpack(array: Packed, file: Path, name: str) -> NDArray[Any]:
     """Return the numbers of an array, writable; raises SeriesError if they are damaged."""
     try:
         data = a2b_base64(array.text, strict_mode=True)
+        # damaged padding at the end changes the length, and would shift every number
+        if len(data) - (sum(array.packed_sizes) or array.nbytes) not in ((0,) if array.packed_sizes else _HEADER_BYTES):
+            raise ValueError(f"{len(data)} bytes instead of {array.nbytes}")
         if len(array.packed_sizes) == 1:
             data = _inflate(data, array.sizes[0])
         elif array.packed_sizes:
@@ -261,7 +265,7 @@ def _decode_cells(
     types: Packed, offsets: Packed, connectivity: Packed, points: int, cells: int
 ) -> tuple[NDArray[np.uint8], Ints, Ints]:
     """Return types, offsets from 0 on and connectivity; raises _NotInlineError if VTK should report a fault."""
-    if any(array.dtype[1] == "f" for array in (types, offsets, connectivity)):
+    if any(array.dtype[1] == "f" or len(array.shape) > 1 for array in (types, offsets, connectivity)):
         raise _NotInlineError
     nowhere = Path()  # the caller discards the message
     cell_types = unpack(types, nowhere, "types").astype(np.uint8).reshape(-1)
