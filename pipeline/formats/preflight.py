@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from pipeline.errors import shorten
 
-_XML = (".vtu", ".pvtu", ".vtp", ".pvd", ".xdmf", ".xmf")
+_XML = (".vtu", ".pvtu", ".vtp", ".pvtp", ".vtm", ".vtmb", ".vtpd", ".vtpc", ".pvd", ".xdmf", ".xmf")
 _HEAD = 1 << 16
 _PROLOGUE = 1 << 20
 # bytes that one byte of a file can decode to: text takes two characters a number; for each compressor, its best
@@ -25,7 +25,7 @@ _SOURCE = re.compile(rb'<Piece\b[^>]*\bSource="([^"]*)"')
 def find_refusal(file: Path) -> str | None:
     """Return the reason not to read a file at all, None if there is none."""
     suffix = file.suffix.lower()
-    if suffix in _XML and (reason := _find_unsafe_xml(file)):
+    if suffix in _XML and (reason := find_unsafe_xml(file)):
         return reason
     if suffix in (".vtu", ".vtp", ".vtk"):
         return _find_excess_counts(file)
@@ -52,7 +52,7 @@ def find_outside_name(name: str) -> str | None:
     return None
 
 
-def _find_unsafe_xml(file: Path) -> str | None:
+def find_unsafe_xml(file: Path) -> str | None:
     """Return the fault before the first element, if any: entities can expand beyond any memory."""
     with file.open("rb") as stream:
         prologue = stream.read(_PROLOGUE)

@@ -2,14 +2,24 @@
 
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any, NamedTuple, cast
+from xml.parsers.expat import errors as expat
 from xml.sax.saxutils import quoteattr
 
 from pipeline.errors import SeriesError, shorten
-from pipeline.formats.preflight import find_outside_name, find_refusal
+from pipeline.formats.listed_paths import locate_file
+from pipeline.formats.preflight import find_refusal
+from pipeline.formats.times import has_comma, parse_time
 
 INDEX_SUFFIXES = (".pvd", ".series")
+_LARGEST = 1 << 28  # [byte]: a million entries take a third of it
+# the faults of a document that merely ends too early
+_CUT_OFF = {
+    expat.codes[text]
+    for text in (expat.XML_ERROR_NO_ELEMENTS, expat.XML_ERROR_UNCLOSED_TOKEN, expat.XML_ERROR_PARTIAL_CHAR)
+}
 _HEAD = b"""<?xml version="1.0"?>
 <VTKFile type="Collection" version="0.1" byte_order="LittleEndian">
   <Collection>
@@ -17,17 +27,30 @@ _HEAD = b"""<?xml version="1.0"?>
 _TAIL = b"  </Collection>\n</VTKFile>\n"
 
 
-def read_index(index: Path) -> list[tuple[float, Path]]:
-    """Return the times [s] and files that an index lists, at least one; raises SeriesError."""
+class IndexEntry(NamedTuple):
+    """A row of an index: its time [s], None if it has none, the file, and the text of the time, group and part."""
+
+    time: float | None
+    file: Path
+    text: str = ""
+    group: str = ""
+    part: str = ""
+
+
+def read_index(index: Path) -> tuple[list[IndexEntry], list[str]]:
+    """Return the entries of an index, at least one, and notes; raises SeriesError."""
     try:
-        frames = _read_pvd(index) if index.suffix == ".pvd" else _read_json(index)
+        if index.stat().st_size > _LARGEST:
+            raise ValueError(f"it has more than {_LARGEST} bytes")
+        rows, notes = _read_pvd(index) if index.suffix.lower() == ".pvd" else (_read_json(index), [])
+        entries = _make_entries(index, rows, notes)
     except OSError as error:
         raise SeriesError(f"{index}: no series there ({error.strerror})") from error
-    except (ET.ParseError, KeyError, ValueError, TypeError, AttributeError) as error:
+    except (ET.ParseError, KeyError, ValueError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
         raise SeriesError(f"{index}: not a ParaView index: {shorten(str(error), 200)}") from error
-    if not frames:
+    if not entries:
         raise SeriesError(f"{index}: it lists no frames")
-    return frames
+    return entries, notes
 
 
 def encode_pvd(frames: Iterable[tuple[float, str]]) -> bytes:
@@ -46,23 +69,48 @@ def complete_pvd(rows: bytes | bytearray) -> bytes:
     return b"".join((_HEAD, rows, _TAIL))
 
 
-def _read_pvd(index: Path) -> list[tuple[float, Path]]:
+def _make_entries(index: Path, rows: list[dict[str, str]], notes: list[str]) -> list[IndexEntry]:
+    """Return the entries of rows of attributes; appends notes on times and paths."""
+    entries, found = [], dict[str, None]()
+    for row in rows:
+        file, note = locate_file(index, row["file"])
+        text = row.get("timestep", "")
+        entries.append(
+            IndexEntry(parse_time(text) if text else None, file, text, row.get("group", ""), row.get("part", ""))
+        )
+        if note:
+            found[note] = None
+        if "," in text and has_comma(text):
+            found[f"the comma in times such as {shorten(text)} is taken as a decimal point"] = None
+    notes += list(found)[:5]
+    return entries
+
+
+def _read_pvd(index: Path) -> tuple[list[dict[str, str]], list[str]]:
+    """Return the attributes of each entry, and a note if the file ends too early."""
     if reason := find_refusal(index):
         raise ValueError(reason)
-    entries = ET.parse(index).getroot().findall("./Collection/DataSet")
-    parts = {entry.get("part", "0") for entry in entries}
-    if len(parts) > 1:
-        raise SeriesError(f"{index}: lists {len(parts)} parts per frame; write them as one grid (pyvista: merge)")
-    return [(float(entry.attrib["timestep"]), _resolve(index, entry.attrib["file"])) for entry in entries]
+    parser: ET.XMLPullParser[Any] = ET.XMLPullParser(["end"])
+    rows = list[dict[str, str]]()
+    try:
+        parser.feed(index.read_bytes())
+        ends = cast("Iterator[tuple[str, ET.Element]]", parser.read_events())
+        rows += [element.attrib for _, element in ends if element.tag == "DataSet"]
+        parser.close()
+    except ET.ParseError as error:
+        if error.code not in _CUT_OFF or not rows:
+            raise
+        return rows, [f"the index ends too early, as if its program had been stopped; {len(rows)} entries are read"]
+    return rows, []
 
 
-def _read_json(index: Path) -> list[tuple[float, Path]]:
+def _read_json(index: Path) -> list[dict[str, str]]:
+    """Return the attributes of each entry, as a .pvd has them."""
     entries = json.loads(index.read_text(encoding="utf-8"))["files"]
-    return [(float(entry["time"]), _resolve(index, entry["name"])) for entry in entries]
+    return [{"timestep": _write_time(entry["time"]), "file": entry["name"]} for entry in entries]
 
 
-def _resolve(index: Path, name: str) -> Path:
-    """Return the file that an index names; raises SeriesError if it lies outside the index's folder."""
-    if reason := find_outside_name(name):
-        raise SeriesError(f"{index}: {reason}")
-    return index.parent / name
+def _write_time(value: object) -> str:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise ValueError(f"the time {value!r} is not a number")
+    return value if isinstance(value, str) else repr(float(value))

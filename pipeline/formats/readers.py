@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from pipeline.errors import SeriesError, shorten
 from pipeline.formats.grid import Grid, PolyhedronFaces
+from pipeline.formats.multiblock import find_first_piece, read_own_times, read_pieces
 from pipeline.formats.vtk_readers import LEGACY, VTKHDF, XML_READERS, VtkReader, read_legacy_times
 from pipeline.formats.vtk_solvers import CGNS, DYNA, ENSIGHT, EXODUS, OPENFOAM
 from pipeline.formats.xdmf import read_xdmf, read_xdmf_times
@@ -37,15 +38,28 @@ def _use_vtk(names: str, description: str, reader: VtkReader, programs: str = ""
     return FrameReader(tuple(names.split()), description, reader.read, reader.read_times, programs=programs, **more)
 
 
+def _use_pieces(names: str, description: str, programs: str) -> FrameReader:
+    """Return the row of files that name others, each of which has a row of its own."""
+
+    def read(file: Path, _step: int) -> Grid:
+        return read_pieces(file, read_grid, SUFFIXES)
+
+    def read_own_or_first(file: Path) -> list[float] | None:
+        first = find_first_piece(file)
+        return list(read_own_times(file)) or (None if first is None else read_times(first))
+
+    return FrameReader(tuple(names.split()), description, read, read_own_or_first, programs=programs, spread=True)
+
+
 _XML_NAMES = {
     ".vtu": "VTK unstructured grid", ".vtp": "VTK surface", ".vts": "VTK structured grid",
-    ".vtr": "VTK rectilinear grid", ".vti": "VTK image", ".pvtu": "VTK unstructured grid in pieces",
+    ".vtr": "VTK rectilinear grid", ".vti": "VTK image",
 }  # fmt: skip
 FORMATS = (
-    *(
-        _use_vtk(suffix, _XML_NAMES[suffix], reader, "most solvers", spread=suffix == ".pvtu")
-        for suffix, reader in XML_READERS.items()
-    ),
+    *(_use_vtk(suffix, _XML_NAMES[suffix], reader, "most solvers") for suffix, reader in XML_READERS.items()),
+    _use_pieces(".pvtu .pvtp", "VTK grid or surface in pieces", "parallel solvers"),
+    _use_pieces(".vtm .vtmb", "VTK blocks", "OpenFOAM, ParaView, PyVista"),
+    _use_pieces(".vtpd .vtpc", "VTK partitions", "VTK, ParaView"),
     FrameReader((".vtk",), "VTK legacy", LEGACY.read, read_legacy_times, programs="Kratos, SfePy, SOFA"),
     _use_vtk(".vtkhdf .hdf", "VTKHDF", VTKHDF, "VTK, ParaView, this program", has_steps=True),
     FrameReader(
@@ -66,7 +80,7 @@ TEMPORAL_NAMES = tuple(name for name, row in READERS.items() if row.has_steps an
 
 def find_format(file: Path) -> FrameReader | None:
     """Return the row of a file's name or suffix, None if there is none."""
-    return READERS.get(file.name) or READERS.get(file.suffix)
+    return READERS.get(file.name) or READERS.get(file.suffix.lower())
 
 
 def is_temporal(file: Path) -> bool:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from pipeline.errors import SeriesError, shorten
 from pipeline.formats.grid import Grid
 from pipeline.formats.vtk_data import make_grid
+from pipeline.formats.vtu_steps import cut_out_step, find_step_times
 
 
 class VtkReader(NamedTuple):
@@ -21,7 +22,7 @@ class VtkReader(NamedTuple):
     `by_number` sets a step by its number, so that equal times stay apart; otherwise the time is requested.
     `node_number` is the point field that tells the points that blocks share. `dropped` names fields that repeat
     others. `listens` takes what VTK prints as an error too. `find_fault` tells why a file with so many steps is
-    damaged.
+    damaged. `may_repeat`: a file can hold steps that the reader does not tell apart.
     """
 
     module: str
@@ -32,10 +33,15 @@ class VtkReader(NamedTuple):
     dropped: tuple[str, ...] = ()
     listens: bool = False
     find_fault: Callable[[Path, int], str | None] | None = None
+    may_repeat: bool = False
 
     def read(self, file: Path, step: int) -> Grid:
         """Return one instant of a file; raises SeriesError if it cannot be read or has no cells."""
         with self._open(file) as reader:
+            if self.may_repeat and find_step_times(file):
+                reader.ReadFromInputStringOn()
+                reader.SetInputString(cut_out_step(file, step).decode())
+                step = 0
             times = _list_times(reader)
             if step >= max(1, len(times or [])):
                 raise SeriesError(f"{file}: it has {len(times or [])} steps, none with the number {step}")
@@ -53,6 +59,8 @@ class VtkReader(NamedTuple):
 
     def read_times(self, file: Path) -> list[float] | None:
         """Return the times [s] stored in a file, None if there are none; raises SeriesError."""
+        if self.may_repeat and (steps := find_step_times(file)):
+            return steps
         with self._open(file) as reader:
             return _list_times(reader)
 
@@ -87,10 +95,10 @@ def _set_up_legacy(reader: Any, _file: Path) -> None:
 
 
 XML_READERS = {
-    suffix: VtkReader("vtkIOXML", f"vtkXML{kind}Reader")
+    suffix: VtkReader("vtkIOXML", f"vtkXML{kind}Reader", may_repeat=suffix in (".vtu", ".vtp"))
     for suffix, kind in {
         ".vtu": "UnstructuredGrid", ".vtp": "PolyData", ".vts": "StructuredGrid", ".vtr": "RectilinearGrid",
-        ".vti": "ImageData", ".pvtu": "PUnstructuredGrid",
+        ".vti": "ImageData",
     }.items()
 }  # fmt: skip
 LEGACY = VtkReader("vtkIOLegacy", "vtkDataSetReader", _set_up_legacy, listens=True)

@@ -67,12 +67,25 @@ class _NotInlineError(Exception):
 
 def read_inline(file: Path) -> Grid | None:
     """Return the instant of an inline .vtu, its arrays decoded on access; None for every other file."""
-    if file.suffix != ".vtu":
+    if file.suffix != ".vtu" and file.suffix.lower() != ".vtu":
         return None
     try:
         return _parse_file(file)
     except Exception:  # any fault of a foreign file: the next reader reports it
         return None
+
+
+def decode_array(array: ElementTree.Element, root: ElementTree.Element) -> NDArray[Any]:
+    """Return the numbers of one small array (ASCII or base64) of a document; raises ValueError if they are damaged."""
+    if array.get("format") == "ascii":
+        dtype = NUMPY_TYPES.get(array.get("type", ""), "f8")
+        return np.array([float(word) for word in (array.text or "").split()]).astype(dtype)
+    try:
+        encoding = _find_encoding(root, {})
+        tuples = array.get("NumberOfTuples")
+        return unpack(_pack(array, None if tuples is None else int(tuples), encoding), Path(), array.get("Name", ""))
+    except (_NotInlineError, SeriesError, KeyError, struct.error) as error:
+        raise ValueError(f"the array {array.get('Name')} is damaged") from error
 
 
 def unpack(array: Packed, file: Path, name: str) -> NDArray[Any]:
@@ -133,10 +146,9 @@ def _parse_file(file: Path) -> Grid:
     if root.tag != "VTKFile" or grid.tag != "UnstructuredGrid" or len(pieces) != 1:
         raise _NotInlineError
     (piece,) = pieces
-    encoding = _Encoding(
-        _BYTE_ORDERS[root.attrib["byte_order"]], _HEADERS[root.get("header_type", "UInt32")],
-        _COMPRESSORS[root.get("compressor")], texts,
-    )  # fmt: skip
+    if "TimeValues" in grid.attrib:  # several steps
+        raise _NotInlineError
+    encoding = _find_encoding(root, texts)
     counts = {name: int(piece.attrib[name]) for name in _SECTIONS.values()}
     field_data = {
         array.attrib["Name"]: _pack(array, int(array.attrib["NumberOfTuples"]), encoding)
@@ -201,6 +213,13 @@ class _Encoding(NamedTuple):
     header: str
     compressed: bool
     texts: dict[bytes, bytes]  # from _take_out_texts
+
+
+def _find_encoding(root: ElementTree.Element, texts: dict[bytes, bytes]) -> _Encoding:
+    return _Encoding(
+        _BYTE_ORDERS[root.attrib["byte_order"]], _HEADERS[root.get("header_type", "UInt32")],
+        _COMPRESSORS[root.get("compressor")], texts,
+    )  # fmt: skip
 
 
 def _pack(array: ElementTree.Element, tuples: int | None, encoding: _Encoding) -> Packed:

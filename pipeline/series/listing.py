@@ -1,29 +1,21 @@
 """The instants that a path names: those of an index, of numbered files in a folder, or of one file with many steps."""
 
 import re
-from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Sequence
 from glob import has_magic
 from os.path import exists, isdir  # pathlib's versions raise if a name is longer than the system allows
 from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.errors import SeriesError, join_names, shorten
-from pipeline.formats.pvd import INDEX_SUFFIXES, read_index
+from pipeline.formats.pvd import INDEX_SUFFIXES, IndexEntry, read_index
 from pipeline.formats.readers import SUFFIXES, is_temporal
 from pipeline.series.frame_files import find_fault, read_times
+from pipeline.series.instants import Entry, Member, arrange_instants
+from pipeline.series.numbered import list_numbered
 from pipeline.series.run_folder import find_unlisted_frames, is_own
 
 _OWN = ("series.pvd", "series.vtkhdf")
-
-
-class Member(NamedTuple):
-    """One instant: its time [s], its file and the step in it; `others` are files of further parts of the body."""
-
-    time: float
-    file: Path
-    step: int = 0
-    others: tuple[Path, ...] = ()
 
 
 class FrameListing(NamedTuple):
@@ -36,108 +28,144 @@ class FrameListing(NamedTuple):
     ours: bool = False
 
 
+class _Found(NamedTuple):
+    """Entries, notes, and the faults of files that have no time."""
+
+    entries: list[Entry]
+    notes: list[str]
+    faults: list[str]
+
+
 def list_frames(path: Path, *, strict: bool) -> FrameListing:
     """Return the frames of a path; raises SeriesError if there are none or, with `strict`, if any is missing."""
-    index = _find_index(path)
-    members, notes = _list_members(index)
-    ours = index.name in _OWN and is_own(index.parent, tuple(member.file for member in members))
+    index, folder_notes = _find_index(path)
+    found = _find_entries(index)
+    entries = found.entries
+    ours = index.name in _OWN and is_own(index.parent, tuple(entry.file for entry in entries))
     if ours and index.suffix == ".pvd":
-        members += [Member(*frame) for frame in find_unlisted_frames(index.parent, len(members))]
+        entries += [Entry(*frame) for frame in find_unlisted_frames(index.parent, len(entries))]
+    bad = next((entry.time for entry in entries if not abs(entry.time) < float("inf")), None)
+    if bad is not None:
+        raise SeriesError(f"{index}: the time {bad} is not a number")
+    members, notes, lacking = arrange_instants(entries, str(index))
     members, faults = _drop_faulty(members)
+    faults = [*found.faults, *faults, *lacking]
     if faults and strict:
         raise SeriesError(f"{index}: {len(faults)} frames cannot be read, first {faults[0]}")
-    notes += [f"left out: {text}" for text in faults]
     if not members:
         raise SeriesError(f"{index}: none of its frames can be read: {faults[0]}")
-    in_order = sorted(members, key=lambda member: member.time)
-    if in_order != members:
-        notes.append("the times were not in order; the frames were sorted by time")
-    last = {member.time: member for member in in_order}
-    if len(last) < len(in_order):
-        notes.append(f"{len(in_order) - len(last)} frames have the time of a later one and were left out")
-    bad = [time for time in last if not abs(time) < float("inf")]
-    if bad:
-        raise SeriesError(f"{index}: the time {bad[0]} is not a number")
-    name, folder = _choose_name(index)
-    return FrameListing(name, folder, tuple(last.values()), tuple(notes), ours)
+    name, folder = _choose_name(index, path)
+    left_out = [f"left out: {text}" for text in faults]
+    return FrameListing(name, folder, tuple(members), (*left_out, *folder_notes, *found.notes, *notes), ours)
 
 
-def _choose_name(index: Path) -> tuple[str, Path]:
-    """Return the name and the folder of a series: our own indices, patterns and folders take the folder's name."""
-    if index.is_dir():
-        return index.resolve().name, index
-    folder = index.parent
-    if index.suffix == ".pvd" or index.name == "series.vtkhdf":
+def _choose_name(index: Path, path: Path) -> tuple[str, Path]:
+    """Return the name and the folder of a series.
+
+    A folder and our own indices give the folder's name, a pattern the text before what varies, other files their own.
+    """
+    folder = index if index.is_dir() else index.parent
+    if isdir(path) or index.name in _OWN:
         return folder.resolve().name, folder
-    return (folder.resolve().name if has_magic(index.name) else index.name.split(".")[0]), folder
+    if has_magic(index.name) and not exists(index):
+        beginning = re.split(r"[*?\[]", index.name)[0].rstrip("-_. ")
+        return beginning or folder.resolve().name, folder
+    stem = index.name.removesuffix(index.suffix)
+    if index.suffix.lower() == ".series":  # their names end with two suffixes
+        stem = stem.removesuffix(Path(stem).suffix)
+    return stem or index.name, folder
 
 
-def _find_index(path: Path) -> Path:
-    """Return the index in a folder if there is one, else the path itself."""
+def _find_index(path: Path) -> tuple[Path, list[str]]:
+    """Return the index in a folder if there is one, else the path itself, and a note on other frames in the folder."""
     if not isdir(path):
-        return path
+        return path, []
     for name in _OWN:
         if (path / name).exists():
-            return path / name
-    indices = sorted(file for file in path.iterdir() if file.suffix in INDEX_SUFFIXES or is_temporal(file))
+            return path / name, []
+    files = list(path.iterdir())
+    indices = sorted(file for file in files if file.suffix.lower() in INDEX_SUFFIXES or is_temporal(file))
     if len(indices) > 1:
         raise SeriesError(f"{path}: holds several series; name one of {join_names(file.name for file in indices)}")
-    return indices[0] if indices else path
+    return (indices[0], []) if indices else (path, [])
 
 
-def _list_members(index: Path) -> tuple[list[Member], list[str]]:
+def _find_entries(index: Path) -> _Found:
     if isdir(index):
-        return _list_numbered(index, (file for file in index.iterdir() if file.suffix in SUFFIXES))
+        return _number_files(index, [file for file in index.iterdir() if file.suffix.lower() in SUFFIXES])
     if has_magic(str(index)) and not exists(index):
         base = Path(index.anchor) if index.is_absolute() else Path()
-        return _list_numbered(index, base.glob(str(index.relative_to(base) if index.is_absolute() else index)))
+        return _number_files(index, list(base.glob(str(index.relative_to(base) if index.is_absolute() else index))))
     if not exists(index):
         raise SeriesError(f"{index}: no series there (No such file or directory)")
-    if index.suffix in INDEX_SUFFIXES:
-        return [Member(time, file) for time, file in read_index(index)], []
+    if index.suffix.lower() in INDEX_SUFFIXES:
+        return _list_index(index)
     if is_temporal(index):
-        times = read_times(index) or [0.0]
-        return [Member(time, index, step) for step, time in enumerate(times)], []
-    return _list_numbered(index, [index])
+        times = read_times(index).values or (0.0,)
+        return _Found([Entry(time, index, step) for step, time in enumerate(times)], [], [])
+    return _number_files(index, [index])
 
 
-def _list_numbered(where: Path, candidates: Iterable[Path]) -> tuple[list[Member], list[str]]:
-    """Return the instants of numbered files in order, and notes; without times of their own they are counted from 0."""
-    files = sorted((file for file in candidates if not file.name.startswith(".")), key=_make_natural_key)
-    if any(file.suffix == ".pvtu" for file in files):  # the other files are its pieces
-        files = [file for file in files if file.suffix == ".pvtu"]
-    if not files:
-        raise SeriesError(f"{where}: no series there: no index and no {', '.join(SUFFIXES)} file")
-    stems = defaultdict[str, int](int)
-    for file in files:
-        stems[re.sub(r"\d+", "*", file.name)] += 1
-    if len(stems) > 1:
-        patterns = join_names(f"{stem} ({count})" for stem, count in stems.items())
-        raise SeriesError(f"{where}: holds several series; give a pattern: {patterns}")
-    times = [read_times(file) if find_fault(file) is None else None for file in files]
-    known = [file_times[0] for file_times in times if file_times]
-    if len(known) == len(files):
-        return [Member(time, file) for time, file in zip(known, files, strict=True)], []
-    if not known:
-        note = "the files have no times; frames are counted from 0" if len(files) > 1 else ""
-        return [Member(float(i), file) for i, file in enumerate(files)], [note] if note else []
-    # files that cannot be read have no time either; their faults are reported later
-    unknown = [file for file, own in zip(files, times, strict=True) if not own and find_fault(file) is None]
-    if unknown:
-        raise SeriesError(f"{where}: {len(known)} files have a time (TimeValue), but {unknown[0].name} has none")
-    return [Member(own[0] if own else float("nan"), file) for own, file in zip(times, files, strict=True)], []
+def _number_files(where: Path, candidates: Sequence[Path]) -> _Found:
+    entries, notes, faulty = list_numbered(where, candidates)
+    return _Found(entries, notes, [f"{shorten(file.name)} {find_fault(file)}" for file in faulty])
 
 
-def _make_natural_key(file: Path) -> list[tuple[int, str]]:
-    """Return a key that sorts frame_9 before frame_10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", str(file))]
+def _list_index(index: Path) -> _Found:
+    """Return the entries of an index, with times from the files if the index gives none."""
+    rows, notes = read_index(index)
+    if all(row.time is not None for row in rows):
+        entries = [Entry(row.time or 0.0, row.file, 0, row.text, (row.group, row.part)) for row in rows]
+    else:
+        entries, more = _find_missing_times(index, rows)
+        notes += more
+    return _Found([_find_step(entry) for entry in entries], notes, [])
+
+
+def _find_missing_times(index: Path, rows: Sequence[IndexEntry]) -> tuple[list[Entry], list[str]]:
+    """Return the entries of rows of which some have no time, and a note; raises SeriesError if the files have none."""
+    lacking = [row for row in rows if row.time is None]
+    own = [read_times(row.file).values if find_fault(row.file) is None else () for row in lacking]
+    if all(len(values) == 1 for values in own):
+        times = dict(zip(map(id, lacking), (values[0] for values in own), strict=True))
+        note = f"the index has no time for {len(lacking)} files; those in the files are taken"
+    elif len(lacking) == len(rows) and not any(own):
+        times = dict.fromkeys(map(id, lacking), 0.0)
+        note = "the index has no times"
+    else:
+        raise SeriesError(
+            f"{index}: it gives no time (timestep) for {shorten(lacking[0].file.name)}, nor is one in the file; add it"
+        )
+    rows = [row if row.time is not None else row._replace(time=times[id(row)]) for row in rows]
+    return [Entry(row.time or 0.0, row.file, 0, row.text, (row.group, row.part)) for row in rows], [note]
+
+
+def _find_step(entry: Entry) -> Entry:
+    """Return the entry with the step of its file that has its time, if the file holds a whole series."""
+    if not is_temporal(entry.file):
+        return entry
+    if find_fault(entry.file) is not None:
+        return entry
+    times = read_times(entry.file).values
+    if len(times) < 2:
+        return entry
+    step = min(range(len(times)), key=lambda i: abs(times[i] - entry.time))
+    if abs(times[step] - entry.time) > 1e-6 * max(abs(times[-1] - times[0]), abs(entry.time)):
+        raise SeriesError(f"{entry.file}: it has {len(times)} steps, none of them at t = {entry.time:g} s")
+    return entry._replace(step=step)
 
 
 def _drop_faulty(members: list[Member]) -> tuple[list[Member], list[str]]:
     """Return the members whose files are whole, and the fault of each of the others."""
-    faults = {file: find_fault(file) for file in {member.file for member in members}}
+    files = {file for member in members for file in (member.file, *member.others)}
+    faults = {file: find_fault(file) for file in files}
     if not any(faults.values()):  # the usual case; saves two passes over thousands of frames
         return members, []
-    when = {m: f" at t = {m.time:g} s" if m.time == m.time else "" for m in members}
-    texts = [f"{shorten(m.file.name)}{when[m]} {faults[m.file]}" for m in members if faults[m.file]]
-    return [member for member in members if not faults[member.file]], texts
+    whole, texts = list[Member](), list[str]()
+    for member in members:
+        faulty = next((file for file in (member.file, *member.others) if faults[file]), None)
+        if faulty is None:
+            whole.append(member)
+        else:
+            texts.append(f"{shorten(faulty.name)} at t = {member.time:g} s {faults[faulty]}")
+    return whole, texts

@@ -17,8 +17,9 @@ from pipeline.run.frame import Frame, Values
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
 from pipeline.series.changed_body import measure_changed_body
 from pipeline.series.frame_files import read_grid
+from pipeline.series.instants import Member
 from pipeline.series.layout import Options, SeriesLayout, infer_layout
-from pipeline.series.listing import FrameListing, Member, list_frames
+from pipeline.series.listing import FrameListing, list_frames
 
 _LENGTHS = {(): 1, ("axis",): len(AXES), ("quantile",): len(QUANTILES)}
 
@@ -169,4 +170,4 @@ def make_series(listing: FrameListing, options: Options = Options()) -> tuple[Se
 
 
 def _read_member(member: Member, *, ours: bool) -> Grid:
-    return read_grid(member.file, member.step, ours=ours)
+    return read_grid(member.file, member.step, others=member.others, ours=ours)

@@ -70,7 +70,9 @@ def test_texts_in_a_vtu(tmp_path):
 def test_pvd(tmp_path):
     frames = [(0.1 * i, f"frames/<{i}>&.vtu") for i in range(5)]
     (tmp_path / "s.pvd").write_bytes(encode_pvd(frames))
-    assert read_index(tmp_path / "s.pvd") == [(time, tmp_path / name) for time, name in frames]
+    entries, notes = read_index(tmp_path / "s.pvd")
+    assert [(entry.time, entry.file) for entry in entries] == [(time, tmp_path / name) for time, name in frames]
+    assert notes == []
     rows = encode_pvd_rows(frames[:2]) + encode_pvd_rows(frames[2:])
     assert complete_pvd(rows) == encode_pvd(frames)
     (tmp_path / "s.pvd").write_bytes(encode_pvd([]))

@@ -250,10 +250,12 @@ def test_names_outside_the_folder_are_recognized(name, bad):
 def test_an_index_outside_its_folder_is_refused(tmp_path):
     (tmp_path / "in").mkdir()
     write_series(tmp_path)
-    path = write_pvd(tmp_path / "in", [(0.0, "../f0.vtu")])
-    with pytest.raises(SeriesError, match=r"names a file outside its own folder \(../f0.vtu\)"):
-        read_series(path)
-    (tmp_path / "in" / "a.vtu.series").write_text('{"files": [{"name": "../f0.vtu", "time": 0}]}')
+    (tmp_path / "in" / "more").mkdir()
+    for name in ("../f0.txt", "../../f0.vtu", "/f0.vtu", "../../../../../../../../../../f0.vtu"):
+        path = write_pvd(tmp_path / "in" / "more", [(0.0, name)])
+        with pytest.raises(SeriesError, match=rf"names a file outside its own folder \({name}\)"):
+            read_series(path)
+    (tmp_path / "in" / "a.vtu.series").write_text('{"files": [{"name": "../../f0.vtu", "time": 0}]}')
     with pytest.raises(SeriesError, match="outside its own folder"):
         read_series(tmp_path / "in" / "a.vtu.series")
     (tmp_path / "in" / "p.pvtu").write_text('<VTKFile><PUnstructuredGrid><Piece Source="../f0.vtu"/></x>')

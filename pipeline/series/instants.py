@@ -1,0 +1,295 @@
+"""Instants of the entries of an index, or of numbered files: files of one time are parts, or frames of rounded times.
+
+Attributes, names, numbers and, at last, the cells and places of the bodies in the files decide. If these do not, the
+caller is asked. A restart replaces the frames after its begin. Every decision is a note.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from filecmp import cmp as is_same_content
+from itertools import combinations, pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+from pipeline.errors import SeriesError, join_names, shorten
+from pipeline.formats.grid import Grid
+from pipeline.formats.parts import have_equal_cells
+from pipeline.series.bodies import are_apart
+from pipeline.series.file_names import list_numbers, make_natural_key, make_template
+from pipeline.series.frame_files import find_fault, read_grid, read_times
+from pipeline.series.frame_times import spread_times
+
+_MOST_READ = 8  # files of one time that are compared
+
+
+class Member(NamedTuple):
+    """One instant: its time [s], its file and the step in it; `others` are files of further parts of the body."""
+
+    time: float
+    file: Path
+    step: int = 0
+    others: tuple[Path, ...] = ()
+
+
+class Entry(NamedTuple):
+    """A file and step at a time [s], the text of that time, and the part of the body that an index says it is."""
+
+    time: float
+    file: Path
+    step: int = 0
+    text: str = ""
+    part: tuple[str, ...] = ()
+
+
+_Parts = list[tuple[str, ...]]  # the part of the body that each entry is
+_Groups = list[list[int]]  # entries of one time and part
+_Rule = Callable[[Sequence[Entry], _Groups, str], _Parts | None]
+
+
+class Instants(NamedTuple):
+    """Instants in order of time, notes on decisions, and faults of instants that were left out."""
+
+    members: list[Member]
+    notes: list[str]
+    faults: list[str]
+
+
+def arrange_instants(entries: Sequence[Entry], where: str) -> Instants:
+    """Return the instants of entries; raises SeriesError if the evidence does not decide."""
+    times = [entry.time for entry in entries]
+    if all(a < b for a, b in pairwise(times)):  # the usual case
+        return Instants([Member(entry.time, entry.file, entry.step) for entry in entries], [], [])
+    parts, notes = _find_parts(entries, where)
+    kept, restart_notes = _drop_replaced(entries, parts, where)
+    instants = _group_instants(entries, parts, kept)
+    instants, faults = _drop_incomplete(entries, parts, instants)
+    if len(set(parts)) > 1:
+        _check_parts(entries, parts, instants)
+    in_order = sorted(instants, key=lambda own: entries[own[0]].time)
+    if in_order != instants:
+        notes.append("the times were not in order; the frames were sorted by time")
+    firsts = [entries[own[0]] for own in in_order]
+    new_times, time_notes = spread_times(
+        [entry.time for entry in firsts], [entry.text for entry in firsts], lambda i: read_times(firsts[i].file).values
+    )
+    members = [
+        Member(time, entries[own[0]].file, entries[own[0]].step, tuple(entries[i].file for i in own[1:]))
+        for time, own in zip(new_times, in_order, strict=True)
+    ]
+    return Instants(members, [*notes, *restart_notes, *time_notes], faults)
+
+
+def _find_parts(entries: Sequence[Entry], where: str) -> tuple[_Parts, list[str]]:
+    """Return the part of the body that each entry is, and notes: entries of one time are different parts, or frames."""
+    parts: _Parts = [()] * len(entries)
+    notes = list[str]()
+    rules: tuple[tuple[str, _Rule], ...] = (
+        ("as the index says", _take_declared),
+        ("told by their names", _take_templates),
+        ("told by a number in their names", _take_number),
+        ("told by their cells and places", _take_order),
+    )
+    for evidence, rule in rules:
+        groups = _group_equal(entries, parts)
+        if not groups:
+            break
+        more = rule(entries, groups, where)
+        if more is not None:
+            parts = [(*own, *further) for own, further in zip(parts, more, strict=True)]
+            count = len(set(parts))
+            notes.append(f"the files of one time are {count} parts of the body, {evidence}")
+    return parts, notes
+
+
+def _group_equal(entries: Sequence[Entry], parts: _Parts) -> _Groups:
+    """Return the entries of equal time and part, two or more each, in order of the first."""
+    groups = defaultdict[tuple[float, tuple[str, ...]], list[int]](list)
+    for i, (entry, part) in enumerate(zip(entries, parts, strict=True)):
+        groups[entry.time, part].append(i)
+    return [own for own in groups.values() if len({(entries[i].file, entries[i].step) for i in own}) > 1]
+
+
+def _take_declared(entries: Sequence[Entry], groups: _Groups, _where: str) -> _Parts | None:
+    """Return the attributes group and part of the index if they differ within a time."""
+    differ = any(len({entries[i].part for i in own}) > 1 for own in groups)
+    return [entry.part for entry in entries] if differ else None
+
+
+def _take_templates(entries: Sequence[Entry], groups: _Groups, _where: str) -> _Parts | None:
+    """Return the names without numbers if they differ within a time."""
+    names: _Parts = [(make_template(entry.file.as_posix()),) for entry in entries]
+    return names if any(len({names[i] for i in own}) > 1 for own in groups) else None
+
+
+def _take_number(entries: Sequence[Entry], groups: _Groups, _where: str) -> _Parts | None:
+    """Return the number in the names that alone varies within a time, between the same values at several times."""
+    if len(groups) < 2:
+        return None
+    numbers = list_numbers([entry.file for entry in entries])
+    for k in range(len(numbers[0])):
+        values = [tuple(numbers[i][k] for i in own) for own in groups]
+        rest = [{(*numbers[i][:k], *numbers[i][k + 1 :]) for i in own} for own in groups]
+        distinct = all(len(set(own)) == len(own) for own in values)
+        if distinct and len({frozenset(own) for own in values}) == 1 and all(len(own) == 1 for own in rest):
+            return [(str(own[k]),) for own in numbers]
+    return None
+
+
+def _take_order(entries: Sequence[Entry], groups: _Groups, where: str) -> _Parts | None:
+    """Return the order within a time if the cells or the places of the bodies show that the files are parts.
+
+    None if they are frames of one body. Raises SeriesError if neither is clear.
+    """
+    groups = [own for own in groups if own == list(range(own[0], own[0] + len(own)))]  # others: a restart
+    if not groups:
+        return None
+    first = groups[0][:_MOST_READ]
+    if any(find_fault(entries[i].file) for i in first):
+        return None  # reported later
+    grids = [read_grid(entries[i].file, entries[i].step) for i in first]
+    apart = all(are_apart(a, b) for a, b in combinations(grids, 2))
+    same = all(have_equal_cells(grids[0], grid) for grid in grids[1:])
+    uniform = len({len(own) for own in groups}) == 1 and sum(map(len, groups)) == len(entries)
+    if same and not (apart and uniform):
+        return None
+    recurs = _recur(entries, groups, grids)
+    if uniform and (recurs if len(groups) > 1 else apart and not same):
+        order = {i: (str(k),) for own in groups for k, i in enumerate(own)}
+        return [order[i] for i in range(len(entries))]
+    names = join_names(entries[i].file.name for i in first)
+    raise SeriesError(
+        f"{where}: {names} have the time {entries[first[0]].time:g} s: parts of a body, or frames whose time was "
+        'rounded? Number parts in the index (part="0", part="1"), or write times with more digits'
+    )
+
+
+def _recur(entries: Sequence[Entry], groups: _Groups, grids: Sequence[Grid]) -> bool:
+    """Return whether the files of the next time have the cells of those of the first time, in their order."""
+    if len(groups) < 2:
+        return False
+    nexts = [entries[i] for i in groups[1][: len(grids)]]
+    if any(find_fault(entry.file) for entry in nexts):
+        return False
+    return all(have_equal_cells(read_grid(e.file, e.step), g) for e, g in zip(nexts, grids, strict=True))
+
+
+def _drop_replaced(entries: Sequence[Entry], parts: _Parts, where: str) -> tuple[list[int], list[str]]:
+    """Return the entries that no restart replaced, in order, and notes."""
+    kept, replaced, repeated = list[int](), 0, 0
+    for part in dict.fromkeys(parts):
+        own = [i for i, other in enumerate(parts) if other == part]
+        left = _follow_restarts(entries, own, where)
+        replaced += len(own) - len(left)
+        unique = [
+            i for n, i in enumerate(left)
+            if n + 1 == len(left) or not _is_repeated(entries[i], entries[left[n + 1]])
+        ]  # fmt: skip
+        repeated += len(left) - len(unique)
+        kept += unique
+    notes = []
+    if replaced:
+        notes.append(f"the times go back, as after a restart: {replaced} frames that it replaced were left out")
+    if repeated:
+        notes.append(f"{repeated} frames have the time and the content of the next one and were left out")
+    return sorted(kept), notes
+
+
+def _is_repeated(entry: Entry, following: Entry) -> bool:
+    """Return whether the next entry has the same time and content."""
+    if entry.time != following.time or entry.step != following.step:
+        return False
+    if entry.file == following.file:
+        return True
+    try:
+        return is_same_content(entry.file, following.file, shallow=False)
+    except OSError:  # reported later
+        return False
+
+
+def _follow_restarts(entries: Sequence[Entry], own: list[int], where: str) -> list[int]:
+    """Return the entries of one part without those that a restart replaced; raises SeriesError if two runs follow."""
+    if not _has_restart(entries, own):
+        return own
+    kept = list[int]()
+    for i in own:
+        before = len(kept)
+        while kept and entries[kept[-1]].time > entries[i].time:
+            kept.pop()
+        if len(kept) == before:
+            kept.append(i)
+            continue
+        while kept and entries[kept[-1]].time == entries[i].time:
+            kept.pop()
+        if not kept and entries[i].file not in {entries[k].file for k in own if k < i}:
+            raise SeriesError(
+                f"{where}: the times begin again with {entries[i].time:g} s at {shorten(entries[i].file.name)}: two "
+                "runs, or two steps of an analysis; name the files of one by a pattern, or write an index of its own"
+            )
+        kept.append(i)
+    return kept
+
+
+def _has_restart(entries: Sequence[Entry], own: list[int]) -> bool:
+    """Return whether times that go back are those of a restart: a time recurs, or the names are in order."""
+    times = [entries[i].time for i in own]
+    if all(a <= b for a, b in pairwise(times)):
+        return False
+    changes = [t for t, last in zip(times, [None, *times], strict=False) if t != last]
+    if len(set(changes)) < len(changes):
+        return True
+    keys = [make_natural_key(entries[i].file) for i in own]
+    return all(a < b for a, b in pairwise(keys))
+
+
+def _group_instants(entries: Sequence[Entry], parts: _Parts, kept: list[int]) -> list[list[int]]:
+    """Return the entries of each instant, its parts in their order: the k-th of each part at a time go together."""
+    order = {part: k for k, part in enumerate(dict.fromkeys(parts))}
+    seen = defaultdict[tuple[float, tuple[str, ...]], int](int)
+    instants = defaultdict[tuple[float, int], list[int]](list)
+    for i in kept:
+        key = (entries[i].time, parts[i])
+        instants[entries[i].time, seen[key]].append(i)
+        seen[key] += 1
+    return [sorted(own, key=lambda i: order[parts[i]]) for own in instants.values()]
+
+
+def _drop_incomplete(
+    entries: Sequence[Entry], parts: _Parts, instants: list[list[int]]
+) -> tuple[list[list[int]], list[str]]:
+    """Return the instants without those that lack a part which others before and after have, or which end the list."""
+    present = [{parts[i] for i in own} for own in instants]
+    first = {part: min(k for k, own in enumerate(present) if part in own) for part in set().union(*present)}
+    last = {part: max(k for k, own in enumerate(present) if part in own) for part in first}
+    end = len(instants) - 1
+    whole, faults = list[list[int]](), list[str]()
+    for k, own in enumerate(instants):
+        # another part may begin or end for good: then the mesh changes
+        ends = {p for p in first if k == end == last[p] + 1}
+        lacking = ends | {p for p in first if first[p] < k < last[p]} - present[k]
+        if lacking:
+            count = len(present[k] | lacking)
+            faults.append(f"t = {entries[own[0]].time:g} s has {len(own)} of {count} parts of the body")
+        else:
+            whole.append(own)
+    return whole, faults
+
+
+def _check_parts(entries: Sequence[Entry], parts: _Parts, instants: list[list[int]]) -> None:
+    """Raise SeriesError if parts of an instant are the same body in almost the same place."""
+    checked = set[frozenset[tuple[str, ...]]]()
+    for own in instants:
+        combination = frozenset(parts[i] for i in own)
+        if len(own) < 2 or combination in checked or len(checked) >= _MOST_READ:
+            continue
+        if any(find_fault(entries[i].file) for i in own):
+            continue
+        checked.add(combination)
+        read_grid(entries[own[0]].file, entries[own[0]].step, others=tuple(entries[i].file for i in own[1:]))
+        grids = [(entries[i].file.name, read_grid(entries[i].file, entries[i].step)) for i in own[:_MOST_READ]]
+        for (name, a), (other, b) in combinations(grids, 2):
+            if have_equal_cells(a, b) and not are_apart(a, b) and not (a.points == b.points).all():
+                raise SeriesError(
+                    f"{entries[own[0]].file.parent}: {shorten(name)} and {shorten(other)} at t = "
+                    f"{entries[own[0]].time:g} s are the same body in almost the same place, not parts of one: name "
+                    "the files of one series by a pattern"
+                )
