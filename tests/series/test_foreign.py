@@ -181,15 +181,30 @@ SITUATIONS = [
     # displacement and rest state
     Situation("baseline", D.baseline, "s.pvd", ratios(*STRETCH, times=TENTHS, cells=12)),
     Situation("point_and_cell_displacement", D.cell_field_displacement, "s.pvd", ratios(*STRETCH)),
+    Situation("cell_displacement_alone", D.cell_field_displacement, "cells_only.pvd", opens(displacement_cell=None)),
+    Situation("deformed_from_step_1", D.deformed_from_step_1, "s.pvd", ratios(1.2, 1.5, 1.8)),
+    Situation("displacement_as_in_the_file", D.deformed_from_step_1, "lower.pvd", displaced(0.4, 1.0, 1.6)),
     Situation("own_points", D.own_points, "s.pvd", ratios(*STRETCH, cells=12)),
+    Situation("three_scalars", D.three_scalars, "s.pvd", ratios(*STRETCH)),
+    Situation("displacement_not_in_first_frame", D.not_in_first_frame, "s.pvd", ratios(*STRETCH)),
+    Situation("noise_in_rest_points", D.noise_in_rest_points, "s.pvd", ratios(*STRETCH)),
+    Situation("two_vectors", D.two_vectors, "s.pvd", asks("D", "U", "displacement")),
     Situation("two_vectors_with_the_answer", D.two_vectors, "s.pvd", ratios(*STRETCH, displacement="D")),
+    Situation("flow_called_u", D.flow, "s.pvd", asks("U", "none")),
     Situation("flow_with_the_answer", D.flow, "s.pvd", ratios(1.0, 1.0, 1.0, displacement="none")),
     Situation("d_v_p", D.vectors_named_d_v_p, "s.pvd", asks("d", "displacement")),
     Situation("d_v_p_with_the_answer", D.vectors_named_d_v_p, "s.pvd", ratios(*STRETCH, displacement="d")),
     # fields
+    Situation("integers_first", F.integers_first, "s.pvd", opens(damage=(0, 0.3, 0.6), temp=(0, 0.5, 1.0))),
+    Situation("types_grow", F.types_grow, "s.pvd",
+              opens(material=(7, 300, 1000), pressure=(1e8, 1e8 + 1.5, 1e8 + 3), id=(5, 2**40, 2**40))),
     Situation("field_and_field_data_named_time", F.names_of_dimensions, "f.pvd", ratios(*STRETCH)),
+    Situation("dataset_with_names_of_dimensions", F.names_of_dimensions, "f.pvd", opens(rest_position=None)),
+    Situation("field_data_named_time", F.names_of_dimensions, "g.pvd", opens(rest_position=None)),
     Situation("point_field_named_node", F.names_of_dimensions, "h.pvd", opens(rest_position=None)),
     Situation("cell_fields_named_like_ours", F.names_of_dimensions, "i.pvd", ratios(*STRETCH)),
+    Situation("same_name_on_points_and_cells", F.same_name_on_points_and_cells, "s.pvd",
+              opens(T=(300, 301, 302), T_cell=(500, 501, 502))),
     Situation("odd_names", F.odd_names, "s.pvd", opens(**{"Von Mises_[MPa]": (0, 1, 2), "σ": (0, 0, 0)})),
     # listings
     Situation("many_digits", L.many_digits, "", ratios(1.0, 1.00999999, 1.01, 1.1)),
@@ -197,10 +212,16 @@ SITUATIONS = [
     Situation("numbered_legacy_pattern", L.legacy_and_multiblock, "Solid-Mesh.dt*.vtk", ratios(*STRETCH)),
     # partitions and other meshes
     Situation("overlap_marked", P.overlaps, "a.pvd", volumes(3, 3.6, 4.5, worst=1.5, cells=18)),
+    Situation("permuted_cells", P.permuted_cells, "s.pvd", ratios(*STRETCH)),
     # kinds of cells
+    Situation("mixed_orientation", P.mixed_orientation, "f.pvd", ratios(*STRETCH)),
+    Situation("mixed_orientation_in_the_plane", P.mixed_orientation, "g.pvd", ratios(*STRETCH)),
     # XDMF
+    Situation("xdmf_displacement_first", X.two_collections, "u_then_stress.xdmf", ratios(*STRETCH)),
     Situation("xdmf_stress_first", X.two_collections, "stress_then_u.xdmf", ratios(*STRETCH)),
     Situation("xdmf_binary_little_endian", X.binary, "little.xdmf", ratios(*STRETCH)),
+    Situation("xdmf_binary_big_endian", X.binary, "big.xdmf", ratios(*STRETCH)),
+    Situation("xdmf_binary_with_seek", X.binary, "seek.xdmf", ratios(*STRETCH)),
 ]  # fmt: skip
 
 
