@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pipeline.errors import SeriesError, shorten
+from pipeline.formats.frd import read_frd, read_frd_times
 from pipeline.formats.grid import Grid, PolyhedronFaces
 from pipeline.formats.multiblock import find_first_piece, read_own_times, read_pieces
 from pipeline.formats.vtk_readers import LEGACY, VTKHDF, XML_READERS, VtkReader, read_legacy_times
@@ -71,6 +72,7 @@ FORMATS = (
     _use_vtk("d3plot", "LS-DYNA d3plot", DYNA, "LS-DYNA", has_steps=True, spread=True),
     _use_vtk(".foam", "OpenFOAM case", OPENFOAM, "OpenFOAM, solids4foam", has_steps=True, spread=True),
     _use_vtk(".cgns", "CGNS", CGNS, "CFD programs", has_steps=True),
+    FrameReader((".frd",), "CalculiX results", read_frd, read_frd_times, has_steps=True, programs="CalculiX"),
 )  # fmt: skip
 READERS = {name: row for row in FORMATS for name in row.names}
 SUFFIXES = tuple(name for name, row in READERS.items() if not row.has_steps)
