@@ -11,6 +11,8 @@ from pipeline.formats.grid import CellArray
 from pipeline.mesh.cell_kinds import POLYGON, TYPES, explain_refusal
 from pipeline.mesh.shape_functions import CellKind, find_kind, make_kind
 
+_TYPES = 256  # VTK's numbers of types are bytes
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KindBlock:
@@ -26,11 +28,11 @@ class KindBlock:
 
 def check_types(cell_array: CellArray, name: str) -> None:
     """Raise MeshError if a cell can neither be measured by shape functions nor by its faces."""
-    pairs = np.column_stack([cell_array.types.astype(np.int64), np.diff(cell_array.offsets)])
-    for number, count in np.unique(pairs, axis=0):
-        if reason := explain_refusal(int(number), int(count)):
-            first = int(np.flatnonzero((pairs == (number, count)).all(axis=1))[0])
-            raise MeshError(f"{name}: cell {first}: {reason}")
+    keys = _combine(cell_array)
+    for key in np.unique(keys).tolist():
+        count, number = divmod(key, _TYPES)
+        if reason := explain_refusal(number, count):
+            raise MeshError(f"{name}: cell {int(np.flatnonzero(keys == key)[0])}: {reason}")
 
 
 def split_blocks(cell_array: CellArray) -> tuple[KindBlock, ...]:
@@ -38,19 +40,22 @@ def split_blocks(cell_array: CellArray) -> tuple[KindBlock, ...]:
 
     Types of the same shape functions (tetrahedra of type 10 and of type 71 with 4 nodes) make one block.
     """
-    types, counts = cell_array.types.astype(np.int64), np.diff(cell_array.offsets)
-    chosen: dict[CellKind, list[Ints]] = {}
-    for number, count in np.unique(np.column_stack([types, counts]), axis=0):
-        row = TYPES.get(int(number))
-        if row is not None and int(count) in row.kinds:
-            cells = np.flatnonzero((types == number) & (counts == count))
-            chosen.setdefault(find_kind(int(number), int(count)), []).append(cells)
+    keys, chosen = _combine(cell_array), dict[CellKind, list[Ints]]()
+    for key in np.unique(keys).tolist():
+        count, number = divmod(key, _TYPES)
+        if number in TYPES and count in TYPES[number].kinds:
+            chosen.setdefault(find_kind(number, count), []).append(np.flatnonzero(keys == key))
     blocks = []
     for kind, parts in chosen.items():
         cells = np.sort(np.concatenate(parts)).astype(np.int64)
         places = cell_array.offsets[:-1][cells][:, None] + np.arange(len(kind.nodes))
         blocks.append(KindBlock(kind, cells, np.ascontiguousarray(cell_array.connectivity[places], dtype=np.int64)))
     return tuple(blocks)
+
+
+def _combine(cell_array: CellArray) -> Ints:
+    """Return one number (e,) for the type and the number of nodes of every cell."""
+    return np.asarray(np.diff(cell_array.offsets) * _TYPES + cell_array.types, dtype=np.int64)
 
 
 def select_faceted(cell_array: CellArray) -> Ints:

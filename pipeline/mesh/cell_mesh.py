@@ -95,7 +95,7 @@ class CellMesh:
     @cached_property
     def rest_volumes(self) -> Floats:
         """Return the rest volume of every cell (e,) [m3; m2 if the dimension is 2]."""
-        return measure_volumes(self.points, self.cell_array, self.dimension, self.plane, name=self.name)
+        return _measure(self.find_local(self.points), self.blocks, self.facets, len(self.cell_array.types))
 
     @cached_property
     def node_volumes(self) -> Floats:
@@ -134,20 +134,21 @@ def measure_volumes(
     Raises MeshError, which begins with `name`, for polyhedra whose faces do not enclose a volume.
     """
     local = points if plane is None else np.ascontiguousarray(points @ plane.T)
-    volumes = np.full(len(cell_array.types), np.nan)
-    for block in split_blocks(cell_array):
-        if block.kind.dimension != dimension:
-            continue
-        simple = block.kind.is_linear_simplex and local.shape[1] == dimension
-        surface = local.shape[1] > dimension
-        volumes[block.cells] = (
-            signed_volumes(local, block.connectivity)
-            if simple
-            else measure_block(local, block, "surface" if surface else "volume")
-        )
-    faceted = collect_faceted(points, cell_array, dimension, name)
-    if faceted is not None:
-        volumes[faceted.cells] = measure_facets(local, faceted)
+    blocks = tuple(block for block in split_blocks(cell_array) if block.kind.dimension == dimension)
+    return _measure(local, blocks, collect_faceted(points, cell_array, dimension, name), len(cell_array.types))
+
+
+def _measure(local: Floats, blocks: tuple[KindBlock, ...], facets: FacetedCells | None, count: int) -> Floats:
+    """Return the volumes of `count` cells at points in their own coordinates, NaN for those in neither group."""
+    volumes = np.full(count, np.nan)
+    for block in blocks:
+        surface = local.shape[1] > block.kind.dimension
+        if block.kind.is_linear_simplex and not surface:
+            volumes[block.cells] = signed_volumes(local, block.connectivity)
+        else:
+            volumes[block.cells] = measure_block(local, block, "surface" if surface else "volume")
+    if facets is not None:
+        volumes[facets.cells] = measure_facets(local, facets)
     return volumes
 
 

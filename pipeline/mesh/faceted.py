@@ -59,13 +59,15 @@ def collect_faceted(points: Floats, cell_array: CellArray, dimension: int, name:
     order = np.argsort(owner, kind="stable")
     starts = np.concatenate([[0], np.cumsum(sizes)])[:-1]
     places = _spread(starts[order], sizes[order])
-    cells, first = np.unique(owner[order], return_index=True)
-    pairs = np.unique(np.column_stack([np.repeat(owner[order], sizes[order]), corners[places]]), axis=0)
+    first = np.flatnonzero(np.append(True, np.diff(owner[order]) > 0))
+    cells = owner[order][first]
+    keys = np.sort(np.repeat(owner[order], sizes[order]) * len(points) + corners[places])
+    cell_of_node, nodes = np.divmod(keys[np.append(True, np.diff(keys) > 0)], len(points))
     faceted = FacetedCells(
         dimension=3,
         cells=cells.astype(np.int64),
-        starts=np.searchsorted(pairs[:, 0], [*cells, len(types)]).astype(np.int64),
-        nodes=np.ascontiguousarray(pairs[:, 1], dtype=np.int64),
+        starts=np.searchsorted(cell_of_node, np.append(cells, len(types))).astype(np.int64),
+        nodes=nodes.astype(np.int64),
         face_starts=np.append(first, len(order)).astype(np.int64),
         corner_starts=np.concatenate([[0], np.cumsum(sizes[order])]).astype(np.int64),
         corners=corners[places].astype(np.int64),

@@ -87,7 +87,9 @@ def prepare_block(points: Floats, block: KindBlock) -> RestBlock:
         with np.errstate(divide="ignore", invalid="ignore"):
             inverse[part] = np.where(np.abs(dets) > _DEGENERATE * scale, 1 / dets, np.nan)
             shares = samples.weights / volume[:, None]
-        gradients[part] = np.einsum("mq,mqcd,qkd->mkc", shares, _compute_cofactors(J, dets), derivatives)
+        cofactors = shares[:, :, None, None] * _compute_cofactors(J, dets)
+        flat = np.swapaxes(cofactors, 1, 2).reshape(len(X) * c, -1) @ np.swapaxes(derivatives, 1, 2).reshape(-1, k)
+        gradients[part] = np.swapaxes(flat.reshape(len(X), c, k), 1, 2)
         if c > d:
             normals[part] = shares[:, :, None] * np.cross(J[..., 0], J[..., 1])
     return RestBlock(block, samples, derivatives, volumes, inverse, gradients, normals)
