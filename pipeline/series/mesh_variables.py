@@ -192,7 +192,7 @@ def read_mesh(dataset: "xarray.Dataset") -> BodyMesh:
     dimension = max((TYPES[kind].dimension for kind in np.unique(types).tolist()), default=0)
     if dimension < 2:
         raise SeriesError("the dataset has no cells that are bodies or surfaces")
-    cells = CellArray(types, offsets, nodes, _read_faces(dataset, len(types)))
+    cells = CellArray(types, offsets, nodes, _read_faces(dataset, offsets, nodes))
     in_space = dimension == 3 or "plane" in dataset or "node_z" in dataset.coords
     points = rest if in_space else rest[:, :2]
     plane = dataset["plane"].values if "plane" in dataset else None
@@ -203,12 +203,19 @@ def _count_dims(name: str) -> int:
     return {"cell_type": 1, "face_cell": 1, "mesh": 0}.get(name, 2)
 
 
-def _read_faces(dataset: "xarray.Dataset", count: int) -> PolyhedronFaces | None:
-    """Return the faces of the polyhedra among `count` cells."""
-    if "face_connectivity" not in dataset:
+def _read_faces(dataset: "xarray.Dataset", cell_offsets: Ints, cell_nodes: Ints) -> PolyhedronFaces | None:
+    """Return the faces of the polyhedra; raises SeriesError if they are not those of these cells."""
+    if "face_connectivity" not in dataset or "face_cell" not in dataset:
         return None
     offsets, nodes = _unpad_rows(dataset["face_connectivity"].values)
-    per_cell = np.bincount(dataset["face_cell"].values.astype(np.int64), minlength=count)
+    owners, count = dataset["face_cell"].values.astype(np.int64), len(cell_offsets) - 1
+    # (cell, node) of each corner of a face must be a node of that cell
+    corners = np.column_stack([np.repeat(owners, np.diff(offsets)), nodes])
+    known = np.column_stack([np.repeat(np.arange(count), np.diff(cell_offsets)), cell_nodes])
+    width = 1 + max(int(nodes.max(initial=0)), int(cell_nodes.max(initial=0)))
+    if (np.diff(owners) < 0).any() or not np.isin(corners @ [width, 1], known @ [width, 1]).all():
+        raise SeriesError("the faces are not those of the cells: choose cells with ds.deformation.extract(cells)")
+    per_cell = np.bincount(owners, minlength=count)
     return PolyhedronFaces(nodes, offsets, np.concatenate([[0], np.cumsum(per_cell)]).astype(np.int64))
 
 

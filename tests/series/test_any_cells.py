@@ -7,13 +7,14 @@ import xarray
 import xugrid
 
 from pipeline.errors import SeriesError
-from pipeline.formats.grid import CellArray, PolyhedronFaces
+from pipeline.formats.grid import CellArray, Grid, PolyhedronFaces
 from pipeline.mesh.cell_kinds import TYPES
 from pipeline.mesh.cell_mesh import CellMesh
 from pipeline.mesh.shape_functions import find_kind
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.measures import AXES, pad_to_space
+from pipeline.series.arrangement import have_same_cells
 from pipeline.series.mesh_variables import describe_mesh, read_mesh
 from pipeline.series.pyvista_grid import build_grid
 from pipeline.series.xarray_plugin import SeriesBackend
@@ -297,3 +298,27 @@ def test_curved_positions_are_probed_as_their_shape_functions_say():
     dataset["f"] = (("node",), field)
     found = dataset.deformation.probe("f", kind.evaluate(natural) @ points)
     assert found.values == pytest.approx(kind.evaluate(natural) @ field, abs=1e-9)
+
+
+def test_cells_chosen_without_their_faces_are_an_error():
+    """isel takes cells of polyhedra away from their faces; extract takes both."""
+    prism, faces = make_prism(5)
+    dataset = make_dataset(CellMesh(*join((42, prism, faces), (42, prism, faces), (12, place(12, 8)[1])), 3))
+    assert read_mesh(dataset.isel(cell=[0, 1])).rest_volumes == pytest.approx(read_mesh(dataset).rest_volumes[:2])
+    for chosen in ([1], [0], [1, 0, 2], [2]):
+        with pytest.raises(SeriesError, match="the faces are not those of the cells"):
+            dataset.isel(cell=chosen).deformation.volume_ratio()
+        assert len(read_mesh(dataset.deformation.extract(chosen)).rest_volumes) == len(chosen)
+
+
+def test_polygons_of_other_lengths_are_other_cells():
+    """Two lists of cells with equal points in order, and equal kinds, are not equal."""
+    points = np.column_stack([make_plate().points[:8], np.zeros(8)])
+    types, nodes = np.array([7, 7], dtype=np.uint8), np.arange(8)
+    a, b = (Grid(points, 8, types, np.array([0, split, 8]), nodes, {}, {}, {}) for split in (3, 4))
+    assert have_same_cells(a, a) and not have_same_cells(a, b)
+    prism, faces = make_prism(5)
+    cells = join((42, prism, faces))[1]
+    a = Grid(prism, 10, *cells[:3], {}, {}, {}, faces=cells.faces)
+    b = Grid(prism, 10, *cells[:3], {}, {}, {}, faces=join((42, prism, faces[:-1]))[1].faces)
+    assert have_same_cells(a, a) and not have_same_cells(a, b)
