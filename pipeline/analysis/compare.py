@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.analysis.node_distance import NodeDistance, write_node_distances
+from pipeline.analysis.sampling import Sampling, check_units, sample_series
 from pipeline.arrays import Floats
 from pipeline.errors import OutputError, SeriesError
 from pipeline.formats.atomic import replace_file
@@ -20,6 +21,7 @@ from pipeline.formats.netcdf import NETCDF_LOCK, NetcdfVariable, create_dataset
 from pipeline.run.frame import Values
 from pipeline.run.measures import AXES, QUANTILES, VARIABLES
 from pipeline.series import Series
+from pipeline.series.matching import match_cells
 from pipeline.system.times import TIME_RTOL, are_same_times
 
 _BLOCK_BYTES = 1 << 22  # of one field: 4 MB, 2700 frames of 192 cells, or one of half a million
@@ -41,6 +43,7 @@ class StatisticsFile:
         except (OSError, RuntimeError, IndexError) as error:
             raise SeriesError(f"{path}: cannot be read ({error})") from error
         self.names = [name for name in VARIABLES if name in self._dataset.variables]
+        self.sampling: Sampling | None = None  # if its cells are not those of the comparison
         _limit_caches(self._dataset)
 
     def read_attributes(self, name: str) -> dict[str, Any]:
@@ -74,6 +77,9 @@ class StatisticsFile:
             ratio = (rows["volume_ratio"] if "volume_ratio" in rows else interpolate("volume_ratio"))[between]
             rows["volume_ratio_quantile"][between] = np.quantile(ratio, QUANTILES, axis=1).T
             rows["inverted_count"][between] = (ratio <= 0).sum(axis=1)
+        if self.sampling is not None:
+            chosen = [name for name in rows if "cell" in VARIABLES[name].dims]
+            rows |= {name: self.sampling.take_cells(rows[name]) for name in chosen}
         return {name: _pad(values, len(times)) for name, values in rows.items()}
 
     def _read_frames(self, name: str, frames: Any) -> Floats:
@@ -96,7 +102,11 @@ def _pad(values: Floats, count: int) -> Floats:
 
 
 class ComparisonPlan(NamedTuple):
-    """The common ground of several series: times [s], whether they have the same cells, and notes on both."""
+    """The common ground of several series: times [s], whether they have the same cells, and notes on both.
+
+    The series have the order of the first's nodes and cells if their meshes are the same; `samplings` are None for
+    these, and for all if there is no difference to compute.
+    """
 
     series: tuple[Series, ...]
     times: Floats
@@ -104,6 +114,7 @@ class ComparisonPlan(NamedTuple):
     difference: bool  # from the first series
     interpolated: bool  # between frames of some series
     notes: tuple[str, ...]
+    samplings: tuple[Sampling | None, ...]
 
     @property
     def title(self) -> str:
@@ -111,12 +122,19 @@ class ComparisonPlan(NamedTuple):
         names = [s.name for s in self.series]
         return " and ".join([", ".join(names[:-1]), names[-1]])
 
+    @property
+    def joins_cells(self) -> bool:
+        """Return whether numbers of cells can be joined: all series have the first's cells, or are sampled on them."""
+        return self.same_cells or self.difference
+
 
 def plan_comparison(series: Sequence[Series], *, difference: bool) -> ComparisonPlan:
     """Return how two or more series can be compared; raises SeriesError if they cannot."""
-    same_cells = _have_same_cells(series, difference=difference)
+    matched, samplings, match_notes = _match_series(series, difference=difference)
     times, notes = _choose_times(series)
-    return ComparisonPlan(tuple(series), times, same_cells, difference, bool(notes), notes)
+    same_cells = all(s is not None for s in matched)
+    chosen = tuple(s if m is None else m for s, m in zip(series, matched, strict=True))
+    return ComparisonPlan(chosen, times, same_cells, difference, bool(notes), (*match_notes, *notes), samplings)
 
 
 def join_variants(statistics: Mapping[str, Path], path: Path, *, title: str) -> tuple[str, ...]:
@@ -154,13 +172,17 @@ def join_series(
         names = [
             name
             for name, variable in VARIABLES.items()
-            if all(name in file.names for file in files.values()) and (plan.same_cells or "cell" not in variable.dims)
+            if all(name in file.names for file in files.values()) and (plan.joins_cells or "cell" not in variable.dims)
         ]
+        for file, sampling in zip(files.values(), plan.samplings, strict=True):
+            file.sampling = sampling
         with _create(hidden, files, plan.times, names, title=plan.title, meaning="series") as out:
             if plan.difference:
                 _create_differences(out, labels[0])
             _write_numbers(out, files, plan.times, names, difference=plan.difference)
-            return write_node_distances(out, plan.series, plan.times, on_time) if plan.difference else ()
+            if not plan.difference:
+                return ()
+            return write_node_distances(out, plan.series, plan.samplings, plan.times, on_time)
 
 
 @contextmanager
@@ -195,7 +217,7 @@ def _create(
     }
     if any("cell" in VARIABLES[name].dims for name in names):
         sizes["cell"] = len(first.rest_volume)
-        rest = np.stack([file.rest_volume for file in files.values()])
+        rest = np.stack([first.rest_volume if file.sampling else file.rest_volume for file in files.values()])
         shared = bool((rest == rest[0]).all())
         variables["rest_volume"] = NetcdfVariable(
             ("cell",) if shared else ("variant", "cell"), first.read_attributes("rest_volume"),
@@ -236,7 +258,7 @@ def _write_numbers(
     out: Any, files: Mapping[str, StatisticsFile], times: Floats, names: Sequence[str], *, difference: bool = False
 ) -> None:
     """Write the variables block by block."""
-    cells = max(len(file.rest_volume) for file in files.values())
+    cells = max(len(file.rest_volume) for file in files.values())  # before sampling
     block = max(1, _BLOCK_BYTES // (8 * cells))
     for start in range(0, len(times), block):
         place = slice(start, min(start + block, len(times)))
@@ -250,22 +272,47 @@ def _write_numbers(
                 out[f"{name}_difference"][m, place] = rows[name] - first[name]
 
 
-def _have_same_cells(series: Sequence[Series], *, difference: bool) -> bool:
-    """Return whether all series have the cells of the first; raises SeriesError if they must but do not."""
-    first = series[0].mesh
+Matches = tuple[list[Series | None], tuple[Sampling | None, ...], tuple[str, ...]]
+
+
+def _match_series(series: Sequence[Series], *, difference: bool) -> Matches:
+    """Return each series in the first's order, None if its mesh is another one; samplings of those; notes.
+
+    Raises SeriesError if bodies have different dimensions or units, or cannot be sampled for a difference.
+    """
+    first, notes = series[0], list[str]()
+    matched, samplings = list[Series | None]([first]), list[Sampling | None]([None])
     for other in series[1:]:
-        if other.mesh.dimension != first.dimension:
-            raise SeriesError(f"{other.name} has {other.mesh.dimension} dimensions, {series[0].name} {first.dimension}")
-        if np.array_equal(other.mesh.cell_array.connectivity, first.cell_array.connectivity):
-            continue
-        if difference:
+        if other.mesh.dimension != first.mesh.dimension:
             raise SeriesError(
-                f"a difference needs the same cells: {series[0].name} has {len(first.rest_volumes)} cells of "
-                f"{len(first.points)} nodes, {other.name} {len(other.mesh.rest_volumes)} of {len(other.mesh.points)}, "
-                "or the same in another order"
+                f"{other.name} has cells of dimension {other.mesh.dimension}, {first.name} of {first.mesh.dimension}: "
+                "they cannot be compared"
             )
-        return False
-    return True
+        match = match_cells(first, other)
+        matched.append(match)
+        samplings.append(None)
+        if match is not None and match is not other:
+            notes.append(
+                f"{other.name} has the mesh of {first.name} in another order: nodes and cells are matched by rest "
+                f"positions, and numbered as in {first.name}"
+            )
+        if match is None:
+            check_units(first, other)
+            if difference:
+                samplings[-1] = sampling = sample_series(first, other)
+                notes.append(_describe_sampling(first, other, sampling))
+    return matched, tuple(samplings), tuple(notes)
+
+
+def _describe_sampling(first: Series, other: Series, sampling: Sampling) -> str:
+    """Return a note on a series that is sampled."""
+    lost = int(np.isnan(sampling.take_nodes(other.mesh.points)).any(axis=1).sum())
+    return (
+        f"{other.name} has another mesh than {first.name}: its numbers are sampled at rest positions of nodes and "
+        f"centers of cells of {first.name}; {100 * sampling.without_partner:.3g} % of the volume "
+        f"({int((sampling.cells < 0).sum())} of {len(sampling.cells)} cells) and {lost} of "
+        f"{len(first.mesh.points)} nodes have no partner and are NaN"
+    )
 
 
 def _choose_times(series: Sequence[Series]) -> tuple[Floats, tuple[str, ...]]:

@@ -1,5 +1,6 @@
 """Distances between the nodes of several series and those of the first one, at common times.
 
+A series on another mesh is sampled at the rest positions of the first's nodes: distances are those of displacements.
 Between two frames, nodes are assumed to move in a straight line. Frames are read and written one at a time.
 """
 
@@ -8,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pipeline.analysis.sampling import Sampling
 from pipeline.arrays import Floats
 from pipeline.formats.netcdf import NetcdfVariable, add_variables
 from pipeline.run.measures import pad_to_space
@@ -64,12 +66,13 @@ class NodeMotion:
 
 
 def write_node_distances(
-    out: Any, series: Sequence[Series], times: Floats, on_time: Callable[[int, int], None] | None = None
-) -> tuple[NodeDistance, ...]:
+    out: Any, series: Sequence[Series], samplings: Sequence[Sampling | None], times: Floats,
+    on_time: Callable[[int, int], None] | None = None,
+) -> tuple[NodeDistance, ...]:  # fmt: skip
     """Add the differences of nodes to a netCDF4 dataset with (variant, time, axis); return the distances of series[1:].
 
-    All series have the cells of the first. Velocities are compared if the first and another series have them, and are
-    NaN for a series without them. `on_time(done, times)` is called after each time.
+    Series without a sampling have the nodes of the first. Velocities are compared if the first and another series have
+    them, and are NaN for a series without them. `on_time(done, times)` is called after each time.
     """
     motions, first = [NodeMotion(s) for s in series], series[0]
     moving = [motion.interpolate(float(times[0]))[1] is not None for motion in motions]
@@ -79,20 +82,32 @@ def write_node_distances(
     for k, time in enumerate(times.tolist()):
         states = [motion.interpolate(time) for motion in motions]
         x0, v0 = states[0]
-        for m, (s, (x, v)) in enumerate(zip(series, states, strict=True)):
+        for m, (s, sampling, (x, v)) in enumerate(zip(series, samplings, states, strict=True)):
+            moved = x - s.mesh.points
+            if sampling is not None:  # the distance is that of displacements
+                moved = sampling.take_nodes(moved)
+                x, v = first.mesh.points + moved, None if v is None else sampling.take_nodes(v)
             distance = np.linalg.norm(x - x0, axis=1)
-            rms, worst = float(np.sqrt(np.mean(distance**2))), int(distance.argmax())
-            moved = (x - s.mesh.points) - (x0 - first.mesh.points)
+            rms, worst = _measure_distances(distance)
+            moved = moved - (x0 - first.mesh.points)
             row = {"displacement_difference": pad_to_space(moved), "node_distance_worst": distance[worst],
                    "node_distance_rms": rms}  # fmt: skip
             row["velocity_difference"] = np.nan if v is None or v0 is None else pad_to_space(v - v0)
             for name in names:
                 out[name][m, k] = row[name]
-            now = NodeDistance(s.name, float(distance[worst]), s.layout.find_point(worst), time, rms, time)
+            owner = s if sampling is None else first
+            now = NodeDistance(s.name, float(distance[worst]), owner.layout.find_point(worst), time, rms, time)
             largest[s.name] = _take_larger(largest.get(s.name, now), now)
         if on_time is not None:
             on_time(k + 1, len(times))
     return tuple(largest[s.name] for s in series[1:])
+
+
+def _measure_distances(distance: Floats) -> tuple[float, int]:
+    """Return the root mean square of distances and the place of the largest, without those that are NaN."""
+    known = distance[np.isfinite(distance)]
+    rms = float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+    return rms, int(np.nan_to_num(distance, nan=-1.0).argmax())
 
 
 def _create_variables(out: Any, names: list[str], first: Series) -> None:
@@ -108,6 +123,7 @@ def _create_variables(out: Any, names: list[str], first: Series) -> None:
 
 
 def _take_larger(before: NodeDistance, now: NodeDistance) -> NodeDistance:
-    """Return the one with the larger distance, given the larger RMS of the two."""
-    worst, rms = max(now, before, key=lambda row: row.worst), max(now, before, key=lambda row: row.rms)
+    """Return the one with the larger distance, given the larger RMS of the two; NaN is smaller than any."""
+    worst = max(now, before, key=lambda row: float(np.nan_to_num(row.worst, nan=-1.0)))
+    rms = max(now, before, key=lambda row: float(np.nan_to_num(row.rms, nan=-1.0)))
     return worst._replace(rms=rms.rms, rms_time=rms.rms_time)

@@ -17,6 +17,7 @@ from pipeline.analysis.node_distance import NodeDistance
 from pipeline.analysis.statistics import write_statistics
 from pipeline.errors import SeriesError
 from pipeline.formats.netcdf import open_dataset
+from pipeline.results.stale_files import hash_file, remove_stale
 from pipeline.series import Series, read_series
 
 if TYPE_CHECKING:
@@ -62,15 +63,17 @@ def analyze(
 ) -> Analysis:  # fmt: skip
     """Write statistics.nc, volume.png and, with `movie`, movie.mp4 and movie.png of a series into a folder.
 
-    A path is read with the defaults of read_series. Raises SeriesError if a frame cannot be measured, OutputError
-    if a file cannot be written or drawn.
+    A path is read with the defaults of read_series. Results of another series in that folder are removed. Raises
+    SeriesError if a frame cannot be read or no cell can be measured, OutputError if a file cannot be written or drawn.
     """
     series = source if isinstance(source, Series) else read_series(source)
     out = Path(out)
     statistics, on_own_frame = out / "statistics.nc", _with_name(on_frame, series.name)
-    summary = write_statistics(series, statistics, on_own_frame)
+    before = hash_file(statistics)
+    summary, gaps = write_statistics(series, statistics, on_own_frame)
     volume, notes = _draw_volume(statistics, out / "volume.png", series.name, series.name)
-    files, notes = [statistics, volume], [*series.notes, *notes]
+    files, notes = [statistics, volume], [*series.notes, *gaps, *notes]
+    notes += remove_stale(out, statistics, before, files)
     if movie:
         pictures, movie_notes = _draw_movie([series], series.name, out / "movie.mp4", on_drawing)
         files, notes = files + pictures, notes + movie_notes
@@ -90,24 +93,30 @@ def compare(
     The dataset joins them along `variant`. If their times differ, numbers are interpolated linearly to those of the
     series with the fewest frames, within the time that all cover. Numbers of cells need the same cells in all.
     `difference` adds the differences from the first series in cells and nodes (displacement, velocity, distance) and
-    distance.png; it raises SeriesError if the cells differ.
+    distance.png; series on other meshes are sampled at the rest positions of the first's nodes and cells. Raises
+    SeriesError if bodies cannot be compared: other dimensions or units, or no place that both have.
     """
-    series = _make_names_distinct([s if isinstance(s, Series) else read_series(s) for s in sources])
-    plan, out = plan_comparison(series, difference=difference), Path(out)
+    named = _make_names_distinct([s if isinstance(s, Series) else read_series(s) for s in sources])
+    plan, out = plan_comparison(named, difference=difference), Path(out)
+    series = list(plan.series)
     analyses = tuple(analyze(s, out / s.name, on_frame=on_frame) for s in series)
     path = out / "comparison.nc"
-    on_time = _with_name(on_frame, "difference of nodes")
+    on_time, before = _with_name(on_frame, "difference of nodes"), hash_file(path)
     distances = join_series(plan, [analysis.files[0] for analysis in analyses], path, on_time)
-    files, notes = [path], [*(f"{s.name}: {note}" for s in series for note in s.notes), *plan.notes]
-    if plan.same_cells:
+    files, notes = [path], [*(f"{part.name}: {note}" for part in analyses for note in part.notes), *plan.notes]
+    if plan.joins_cells:
         picture, figure_notes = _draw_volume(path, out / "volume.png", plan.title)
         files, notes = [*files, picture], notes + figure_notes
     else:
-        notes.append("the cells differ: comparison.nc has the numbers of whole bodies only")
+        notes.append(
+            "the cells differ: comparison.nc has the numbers of whole bodies only; a difference (--difference) samples "
+            f"the others at the rest positions of {series[0].name}"
+        )
     if difference:
         files.append(_draw_distances(path, out / "distance.png", plan.title))
         if plan.interpolated:
             notes.append("between two frames of a series, nodes are taken to be on the chord between them")
+    notes += remove_stale(out, path, before, files)
     if movie:
         pictures, movie_notes = _draw_movie(series, plan.title, out / "movie.mp4", on_drawing)
         files, notes = files + pictures, notes + movie_notes
@@ -140,9 +149,10 @@ def _draw_volume(path: Path, picture: Path, title: str, name: str | None = None)
 
     with open_dataset(path) as dataset:
         frames, count = _choose_frames(dataset), dataset.sizes["time"]
-        ratios = dataset[["volume_ratio", "rest_volume"]].isel(time=frames)
+        names = [name for name in ("volume_ratio", "volume_ratio_min", "volume_ratio_max") if name in dataset]
+        ratios = dataset[[*names, "rest_volume"]].isel(time=frames)
         if name is not None:  # after the choice of frames, as expand_dims reads all values
-            ratios = ratios.assign(volume_ratio=ratios["volume_ratio"].expand_dims(variant=[name]))
+            ratios = ratios.assign({key: ratios[key].expand_dims(variant=[name]) for key in names})
         write_volume_figure(ratios, picture, title=title)
     note = f"{picture.name} shows {len(frames)} of {count} frames, the worst among them"
     return picture, [note] if len(frames) < count else []
@@ -165,7 +175,7 @@ def _choose_frames(dataset: "xarray.Dataset") -> list[int]:
     if count <= most:
         return list(range(count))
     extremes = dataset["volume_ratio_quantile"].isel(quantile=[0, -1])
-    worst = abs(extremes - 1).max("quantile").argmax("time").values.ravel()
+    worst = abs(extremes - 1).max("quantile").fillna(-1).argmax("time").values.ravel()
     return sorted({*np.linspace(0, count - 1, most).round().astype(int).tolist(), *worst.tolist()})
 
 

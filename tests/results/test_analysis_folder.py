@@ -9,7 +9,7 @@ import xarray
 
 from pipeline.errors import SeriesError
 from pipeline.results.analysis_folder import analyze, compare
-from pipeline.series import read_series
+from pipeline.series import Series, read_series
 from tests.bodies import assert_conventional, skip_figures
 from tests.measured import measure_series
 from tests.series.test_series import CELLS, GROWTH, POINTS, TIMES, make_grid, move_points, write_pvd, write_series
@@ -49,12 +49,85 @@ def test_a_number_that_a_frame_lacks_is_nan_there(tmp_path, monkeypatch):
         np.testing.assert_equal(dataset["kinetic_energy"].values, [2.0, np.nan, 2.0])
 
 
-def test_a_failing_analysis_leaves_no_partial_file(tmp_path):
+def test_a_failing_analysis_leaves_no_partial_file(tmp_path, monkeypatch):
     source = write_series(tmp_path)
-    pyvista.UnstructuredGrid({10: CELLS[:-1]}, move_points(0.1)).save(tmp_path / "f1.vtu")
-    with pytest.raises(SeriesError, match="topology changes"):
+    read = Series.read_frame
+
+    def fail_in_the_second(self, index, grid=None):
+        if index == 1:
+            raise SeriesError("f1.vtu: damaged")
+        return read(self, index, grid)
+
+    monkeypatch.setattr(Series, "read_frame", fail_in_the_second)
+    with pytest.raises(SeriesError, match="damaged"):
         analyze(source, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_changing_mesh_keeps_the_volume_of_the_whole_body(tmp_path):
+    """The second frame has another mesh of the same body: its cells have no numbers, and the curve goes on."""
+    source = write_series(tmp_path)
+    pyvista.UnstructuredGrid({10: CELLS[:-1]}, move_points(TIMES[1])).save(tmp_path / "f1.vtu")
+    result = analyze(source, tmp_path / "out")
+    (note,) = [note for note in result.notes if "no cell has numbers" in note]
+    assert note.startswith(
+        f"in the frame of t = {TIMES[1]:.4g} s no cell has numbers; the volume of the whole body goes on"
+    )
+    assert result.worst_volume_ratio == pytest.approx((1 + GROWTH * TIMES[2]) ** 3)
+    with xarray.open_dataset(result.files[0]) as dataset:
+        assert dataset["volume_ratio"].isnull().all("cell").values.tolist() == [False, True, False]
+        rest = float(dataset["rest_volume"].sum())
+        part = float(dataset["rest_volume"][:-1].sum())
+        assert dataset["total_volume"].values == pytest.approx(
+            [rest, part * (1 + GROWTH * TIMES[1]) ** 3, rest * (1 + GROWTH * TIMES[2]) ** 3]
+        )
+
+
+def write_gap(folder, lost):
+    """A series whose points are not finite in some nodes of some frames."""
+    for i, t in enumerate(TIMES):
+        grid = make_grid(t)
+        grid.points[lost.get(i, slice(0, 0))] = np.nan
+        grid.save(folder / f"f{i}.vtu")
+    return write_pvd(folder, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)])
+
+
+def test_a_frame_without_positions_ends_the_numbers_of_its_cells(tmp_path):
+    result = analyze(write_gap(tmp_path, {2: slice(None)}), tmp_path / "out")
+    (note,) = [note for note in result.notes if "no cell has numbers" in note]
+    assert f"t = {TIMES[2]:.4g} s" in note and "not finite" in note and "whole body" not in note
+    assert result.worst_volume_ratio == pytest.approx((1 + GROWTH * TIMES[1]) ** 3)
+    with xarray.open_dataset(result.files[0]) as dataset:
+        assert dataset["total_volume"].isnull().values.tolist() == [False, False, True]
+
+
+def test_a_node_without_position_takes_only_its_cells(tmp_path):
+    result = analyze(write_gap(tmp_path, {1: [0], 2: [0]}), tmp_path / "out")
+    touched = int((CELLS == 0).any(axis=1).sum())
+    (note,) = [note for note in result.notes if "cells have no numbers" in note]
+    assert note.startswith(
+        f"in 2 frames from t = {TIMES[1]:.4g} to {TIMES[2]:.4g} s up to {touched} of {len(CELLS)} cells"
+    )
+    assert result.worst_volume_ratio == pytest.approx((1 + GROWTH * TIMES[2]) ** 3)
+    assert not (CELLS[result.worst_cell] == 0).any()
+
+
+def test_results_of_another_series_do_not_stay(tmp_path, monkeypatch):
+    skip_figures(monkeypatch)
+    out, (a, b) = (
+        tmp_path / "out",
+        (make_series(tmp_path / name, TIMES, name, lambda t, n=name: t * (1 + (n == "b"))) for name in "ab"),
+    )
+    analyze(a, out)
+    (out / "movie.mp4").write_bytes(b"film of a")
+    (out / "mine.txt").write_text("mine")
+    assert not any("removed" in note for note in analyze(a, out).notes)
+    assert (out / "movie.mp4").exists()  # the same series: its film is still right
+    notes = analyze(b, out).notes
+    assert any("movie.mp4 of another analysis removed" in note for note in notes)
+    assert sorted(path.name for path in out.iterdir()) == ["mine.txt", "statistics.nc", "volume.png"]
+    compare([a, b], out)
+    assert sorted(path.name for path in out.iterdir()) == ["a", "b", "comparison.nc", "mine.txt", "volume.png"]
 
 
 def test_memory_does_not_grow_with_the_frames(tmp_path, monkeypatch):
@@ -187,8 +260,7 @@ def test_different_cells_are_compared_as_whole_bodies(tmp_path, monkeypatch):
         assert "volume_ratio" not in dataset and "cell" not in dataset.dims
         drift = [(1 + GROWTH * t) ** 3 - 1 for t in TIMES]
         assert dataset["volume_drift"].values == pytest.approx(np.array([drift, drift]))
-    with pytest.raises(SeriesError, match=f"same cells: a has {len(CELLS)} cells of {len(POINTS)} nodes"):
-        compare([a, b], tmp_path / "out", difference=True)
+    assert any("whole bodies only; a difference" in note for note in result.notes)
     with pytest.raises(SeriesError, match="two series or more, not 1"):
         compare([a], tmp_path / "out")
 
