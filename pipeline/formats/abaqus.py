@@ -16,7 +16,7 @@ from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, join_names, shorten
 from pipeline.formats.abaqus_elements import ElementKind, find_element_kind
 from pipeline.formats.abaqus_keywords import Keyword, join_rows, read_keywords, read_numbers
-from pipeline.formats.plain_mesh import PlainMesh, make_block, number_nodes
+from pipeline.formats.plain_mesh import CellBlock, PlainMesh, make_block, number_nodes
 
 # they make or move nodes or elements in ways that are not implemented here
 _REFUSED = set(
@@ -59,6 +59,7 @@ class _Model:
         self.instances: list[tuple[_AbaqusBody, _AbaqusBody, Keyword]] = []
         self.materials: dict[str, None] = {}
         self.connections: set[str] = set()
+        self.sets: dict[tuple[int, str], None] = {}  # dimension and ELSET of elements
 
     def take(self, keyword: Keyword) -> None:
         """Add the content of a keyword and its data lines."""
@@ -121,6 +122,8 @@ class _Model:
                 return
             raise keyword.make_error("names nodes of instances, which is not read")
         self.current.elements.append((kind, _read_ids(rows, keyword)))
+        if "ELSET" in keyword.options:
+            self.sets[kind.dimension, keyword.options["ELSET"]] = None
 
     def generate_nodes(self, keyword: Keyword) -> None:
         if keyword.options.keys() - {"NSET"}:
@@ -155,7 +158,12 @@ class _Model:
             names.append(name or "the file's own nodes")
         solid = [n for n, count in zip(names, counts, strict=True) if count]
         bodies = [count for count in counts if count] if len(solid) > 1 else []
-        return PlainMesh(np.concatenate(points), blocks, self._list_notes(solid), list(self.materials), bodies)
+        return PlainMesh(np.concatenate(points), blocks, self._list_notes(solid), self._list_regions(blocks), bodies)
+
+    def _list_regions(self, blocks: Sequence[CellBlock]) -> list[str]:
+        """Return the materials of the file, or the sets in which the elements of the highest dimension come."""
+        top = max((dimension for _, dimension, *_ in blocks), default=0)
+        return list(self.materials) or [name for dimension, name in self.sets if dimension == top]
 
     def _list_bodies(self) -> list[tuple[str, _AbaqusBody, Keyword | None]]:
         bodies: list[tuple[str, _AbaqusBody, Keyword | None]] = []
