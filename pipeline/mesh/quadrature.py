@@ -41,18 +41,17 @@ class Quadrature(NamedTuple):
 def find_quadrature(kind: CellKind, purpose: str = "volume") -> Quadrature:
     """Return the quadrature of a kind for "volume", "nodes" (integrals of N_a det) or "surface" (in space)."""
     n, d = _find_degree(kind), kind.dimension
-    nodal = n if purpose == "nodes" else 0
+    nodal = int(purpose == "nodes")
     more = 2 * _SURFACE_POINTS if purpose == "surface" and not kind.is_linear_simplex else 0
     if kind.shape in ("triangle", "tetrahedron"):
-        return _integrate_simplex(d, d * (n - 1) + nodal + more)
+        return _integrate_simplex(d, d * (n - 1) + nodal * n + more)
     if kind.shape == "wedge":
-        across = _integrate_simplex(2, 3 * n - 2 + nodal)
-        return _multiply(across, _integrate_interval(3 * n - 1 + nodal))
-    axis = _integrate_interval(d * n - 1 + nodal + more)
-    total = axis
-    for _ in range(d - 1):
-        total = _multiply(total, axis)
-    return total
+        across = _integrate_simplex(2, 3 * n - 2 + nodal * n)
+        return _multiply(across, _integrate_interval(3 * kind.order - 1 + nodal * kind.order))
+    # the functions of pyramids can have a higher degree along the third axis
+    first, last = (_integrate_interval(d * m - 1 + nodal * m + more) for m in (kind.order, n))
+    plane = _multiply(first, first)
+    return plane if d == 2 else _multiply(plane, last)
 
 
 def _find_degree(kind: CellKind) -> int:
