@@ -43,7 +43,8 @@ def main():
     results = [integrate_cells("tetrahedron", X, x, ordered) for x in positions]
     write_expected(
         HERE,
-        make_expectation(f"Genesis {version('genesis-world')}", "box_*.vtu", range(FRAMES), centers=X[cells].mean(axis=1),
+        make_expectation(f"Genesis {version('genesis-world')}", "box_*.vtu", range(FRAMES),
+                         centers=X[cells].mean(axis=1),
                          rest_volumes=results[0][0], volumes=[r[1] for r in results],
                          gradients=[r[2] for r in results]),
     )  # fmt: skip
