@@ -71,7 +71,7 @@ class MeshSpec(Spec):
     size: Annotated[Lengths | None, about("extent of the shape along each axis", "m")] = None
     cells: Annotated[Counts | None, about("blocks along each axis, each of which is split into simplices")] = None
     split: Annotated[Text, about("how a block is split into simplices")] = "kuhn"
-    file: Annotated[Text | None, about("a mesh file, relative to the case file; any format that meshio reads")] = None
+    file: Annotated[Text | None, about("a mesh file (docs/meshes.md), relative to the case file")] = None
     scale: Annotated[Positive, about("factor that turns the file's coordinates into meters")] = 1.0
     arrays: Annotated[PythonValue | None, about("points and cells, given in Python")] = None
 
