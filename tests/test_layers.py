@@ -20,7 +20,7 @@ ROOMS = (
     "studies __init__ cli"
 ).split()
 HEAVY = frozenset(
-    "pyvista vtk vtkmodules meshio xarray netCDF4 matplotlib numba rich imageio_ffmpeg PIL pandas h5py k3d dask "
+    "pyvista vtk vtkmodules meshio xarray netCDF4 matplotlib numba rich imageio_ffmpeg PIL pandas h5py adios2 k3d dask "
     "distributed felupe mujoco".split()
 )
 MAX_FILE_LINES = 400

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pipeline.errors import SeriesError, shorten
+from pipeline.formats.adios import read_bp, read_bp_times
 from pipeline.formats.frd import read_frd, read_frd_times
 from pipeline.formats.grid import Grid, PolyhedronFaces
+from pipeline.formats.med import read_med, read_med_times
 from pipeline.formats.multiblock import find_first_piece, read_own_times, read_pieces
 from pipeline.formats.vtk_readers import LEGACY, VTKHDF, XML_READERS, VtkReader, read_legacy_times
 from pipeline.formats.vtk_solvers import CGNS, DYNA, ENSIGHT, EXODUS, OPENFOAM
@@ -72,6 +74,14 @@ FORMATS = (
     _use_vtk("d3plot", "LS-DYNA d3plot", DYNA, "LS-DYNA", has_steps=True, spread=True),
     _use_vtk(".foam", "OpenFOAM case", OPENFOAM, "OpenFOAM, solids4foam", has_steps=True, spread=True),
     _use_vtk(".cgns", "CGNS", CGNS, "CFD programs", has_steps=True),
+    FrameReader(
+        (".med", ".rmed"), "MED", read_med, read_med_times, has_steps=True, programs="Code_Aster, Salome",
+        package="h5py",
+    ),
+    FrameReader(
+        (".bp",), "ADIOS2, as VTX", read_bp, read_bp_times, has_steps=True, programs="dolfinx (VTXWriter)",
+        package="adios2", spread=True,
+    ),
     FrameReader((".frd",), "CalculiX results", read_frd, read_frd_times, has_steps=True, programs="CalculiX"),
 )  # fmt: skip
 READERS = {name: row for row in FORMATS for name in row.names}
@@ -91,9 +101,14 @@ def is_temporal(file: Path) -> bool:
     return row is not None and row.has_steps
 
 
+def is_folder(file: Path) -> bool:
+    """Return whether this is a folder that one program reads as a file."""
+    return file.suffix.lower() == ".bp" and file.is_dir()
+
+
 def read_grid(file: Path, step: int = 0) -> Grid:
     """Return one instant of a file; raises SeriesError if it cannot be read or has no cells."""
-    if not file.is_file():
+    if not (file.is_file() or is_folder(file)):
         raise SeriesError(f"{file}: no such file")
     return _require_format(file).read(file, step)
 

@@ -106,7 +106,7 @@ def _read_start(file: Path) -> bytes:
 
 
 def _check_file(file: Path) -> None:
-    if not isfile(file):
+    if not isfile(file) and not readers.is_folder(file):
         raise SeriesError(f"{file}: no such file")
     if why := find_refusal(file):
         raise SeriesError(f"{file}: {why}")
@@ -120,6 +120,8 @@ def find_fault(file: Path, depth: int = 0) -> str | None:
     except (OSError, ValueError):  # ValueError: a name that no file can have
         return "is missing"
     if not S_ISREG(status.st_mode):
+        if readers.is_folder(file):
+            return None
         return "is missing"
     if not status.st_size and file.suffix != ".foam":  # its name stands for a folder
         return "is empty"

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.pvd import INDEX_SUFFIXES, IndexEntry, read_index
-from pipeline.formats.readers import SUFFIXES, is_temporal
+from pipeline.formats.readers import SUFFIXES, is_folder, is_temporal
 from pipeline.series.frame_files import find_fault, read_times
 from pipeline.series.instants import Entry, Member, arrange_instants
 from pipeline.series.numbered import list_numbered
@@ -64,8 +64,8 @@ def _choose_name(index: Path, path: Path) -> tuple[str, Path]:
 
     A folder and our own indices give the folder's name, a pattern the text before what varies, other files their own.
     """
-    folder = index if index.is_dir() else index.parent
-    if isdir(path) or index.name in _OWN:
+    folder = index if index.is_dir() and not is_folder(index) else index.parent
+    if (isdir(path) and not is_folder(path)) or index.name in _OWN:
         return folder.resolve().name, folder
     if has_magic(index.name) and not exists(index):
         beginning = re.split(r"[*?\[]", index.name)[0].rstrip("-_. ")
@@ -78,7 +78,7 @@ def _choose_name(index: Path, path: Path) -> tuple[str, Path]:
 
 def _find_index(path: Path) -> tuple[Path, list[str]]:
     """Return the index in a folder if there is one, else the path itself, and a note on other frames in the folder."""
-    if not isdir(path):
+    if not isdir(path) or is_folder(path):
         return path, []
     for name in _OWN:
         if (path / name).exists():
@@ -91,7 +91,7 @@ def _find_index(path: Path) -> tuple[Path, list[str]]:
 
 
 def _find_entries(index: Path) -> _Found:
-    if isdir(index):
+    if isdir(index) and not is_folder(index):
         return _number_files(index, [file for file in index.iterdir() if file.suffix.lower() in SUFFIXES])
     if has_magic(str(index)) and not exists(index):
         base = Path(index.anchor) if index.is_absolute() else Path()
