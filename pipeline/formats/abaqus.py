@@ -144,39 +144,36 @@ class _Model:
         """Return all bodies in one mesh, each instance moved to its place."""
         if self.parts and not self.instances:
             raise MeshError(f"{self.path}: {len(self.parts)} parts, but no *INSTANCE of any of them")
-        points, blocks, names = [np.zeros((0, 3))], [], []
-        counts: list[int] = []
-        for name, own, place in self._list_bodies():
-            ids, own_points = _join_nodes(own, f"{self.path}: {name or 'the file'}")
-            start = sum(counts)
-            for kind, rows in own.elements:
-                where = f"{self.path}: {kind.name} element of {name or 'the file'}"
-                cells = number_nodes(ids, rows[:, 1:], where) + start
-                blocks.append(make_block(kind.cell, kind.dimension, cells))
+        points, blocks, counts, names = [np.zeros((0, 3))], list[CellBlock](), list[int](), list[str]()
+        for body, place in self._list_bodies():
+            name = body.name or "the file"
+            ids, own_points = _join_nodes(body, f"{self.path}: {name}")
+            for kind, rows in body.elements:
+                cells = number_nodes(ids, rows[:, 1:], f"{self.path}: {kind.name} element of {name}")
+                blocks.append(make_block(kind.cell, kind.dimension, cells + sum(counts)))
             points.append(own_points if place is None else _move(own_points, place))
             counts.append(len(own_points))
-            names.append(name or "the file's own nodes")
-        solid = [n for n, count in zip(names, counts, strict=True) if count]
-        bodies = [count for count in counts if count] if len(solid) > 1 else []
-        return PlainMesh(np.concatenate(points), blocks, self._list_notes(solid), self._list_regions(blocks), bodies)
+            names += [name] if body.elements else []
+        bodies = counts if len(names) > 1 else []
+        return PlainMesh(np.concatenate(points), blocks, self._list_notes(names), self._list_regions(blocks), bodies)
 
     def _list_regions(self, blocks: Sequence[CellBlock]) -> list[str]:
         """Return the materials of the file, or the sets in which the elements of the highest dimension come."""
         top = max((dimension for _, dimension, *_ in blocks), default=0)
         return list(self.materials) or [name for dimension, name in self.sets if dimension == top]
 
-    def _list_bodies(self) -> list[tuple[str, _AbaqusBody, Keyword | None]]:
-        bodies: list[tuple[str, _AbaqusBody, Keyword | None]] = []
+    def _list_bodies(self) -> list[tuple[_AbaqusBody, Keyword | None]]:
+        """Return each instance with its placement, and the nodes and elements outside of all."""
+        bodies: list[tuple[_AbaqusBody, Keyword | None]] = []
         for part, own, keyword in self.instances:
-            joined = _AbaqusBody(own.name, part.ids + own.ids, part.points + own.points, part.elements + own.elements)
-            bodies.append((own.name, joined, keyword))
-        return [*bodies, ("", self.whole, None)] if self.whole.ids else bodies
+            points, elements = part.points + own.points, part.elements + own.elements
+            bodies.append((_AbaqusBody(own.name, part.ids + own.ids, points, elements), keyword))
+        return [*bodies, (self.whole, None)] if self.whole.ids else bodies
 
     def _list_notes(self, names: Sequence[str]) -> list[str]:
         notes = []
         if len(names) > 1:
-            count = len(self.instances)
-            notes.append(f"{count} instances ({join_names(names)}) are bodies of their own: no nodes are joined")
+            notes.append(f"{len(names)} instances ({join_names(names)}) are bodies of their own: no nodes are joined")
         if self.connections:
             notes.append(f"connections are not read: {join_names(sorted(self.connections))}")
         if len(self.materials) == 1:

@@ -233,4 +233,4 @@ def _split_fields(text: str) -> list[str]:
         width = 16 if "*" in text[:8] else 8
         fields = [text[:8].strip(), *(text[k : k + width].strip() for k in range(8, 72, width))]
     name = fields[0].upper()
-    return [name if name[:1] in "+*" else name.rstrip("*"), *fields[1:]]
+    return [name if name[:1] in "+*" else name.rstrip("*_"), *fields[1:]]

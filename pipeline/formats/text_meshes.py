@@ -5,15 +5,16 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import MeshError, join_names, shorten
-from pipeline.formats.plain_mesh import PlainMesh, make_block
+from pipeline.formats.plain_mesh import SIMPLEX_NAMES, PlainMesh, make_block
 
 # Medit's keywords of cells: dimension, kind and number of nodes
 _MEDIT_CELLS = {
     "EDGES": (1, "line", 2), "TRIANGLES": (2, "triangle", 3), "QUADRILATERALS": (2, "quad", 4),
     "TETRAHEDRA": (3, "tetra", 4), "HEXAHEDRA": (3, "hexahedron", 8), "HEXAEDRA": (3, "hexahedron", 8),
     "PRISMS": (3, "wedge", 6), "PENTAHEDRA": (3, "wedge", 6), "PYRAMIDS": (3, "pyramid", 5),
-    "TRIANGLESP2": (2, "triangle6", 6), "TETRAHEDRAP2": (3, "tetra10", 10), "EDGESP2": (1, "line3", 3),
 }  # fmt: skip
+# of second order: the nodes on sides come in an order that programs do not agree on, and only corners are passed on
+_MEDIT_CURVED = {"TRIANGLESP2": (2, 6), "TETRAHEDRAP2": (3, 10)}
 
 
 def read_tetgen(path: Path) -> PlainMesh:
@@ -70,11 +71,18 @@ def read_medit(path: Path) -> PlainMesh:
             if len(rows):
                 blocks.append(make_block(kind, d, rows[:, :-1] - 1))
                 regions.setdefault(d, set()).update(np.unique(rows[:, -1]).tolist())
+    notes = []
+    for name in [name for name in _MEDIT_CURVED if name in sections]:
+        d, nodes = _MEDIT_CURVED[name]
+        rows = _read_section(path, name, sections.pop(name), nodes + 1).astype(np.int64)
+        blocks.append(make_block(SIMPLEX_NAMES[d], d, rows[:, : d + 1] - 1))
+        notes.append(f"{len(rows)} {name} are read by their corners; sides are straight")
+    sections = {name: words for name, words in sections.items() if name != "EDGESP2"}
     curved = [name for name in sections if name.endswith(("P2", "P3", "P4", "Q2"))]
     if curved:
         raise MeshError(f"{path}: {join_names(curved)} are not read; write cells of first order")
     names = [f"reference {value}" for value in sorted(regions[max(regions)])] if regions else []
-    return PlainMesh(vertices[:, :-1], blocks, [], names)
+    return PlainMesh(vertices[:, :-1], blocks, notes, names)
 
 
 def _split_sections(path: Path) -> dict[str, list[str]]:

@@ -16,6 +16,7 @@ from pipeline.mesh.shapes import box
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.mesh.surface import find_boundary_faces
 from tests.bodies import BOXES, write_case
+from tests.foreign.writers import quadratic
 
 BOX = box((2.0, 3.0, 1.0), (2, 3, 1))
 TETS = BOX.cells
@@ -249,6 +250,20 @@ def test_cells_mirrored_by_their_numbering_are_told_from_inverted_ones(name):
     assert inverted.any()
     found, _ = orient_cells(points, cells)
     assert (signed_volumes(points, found) < 0).any()
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.05])
+@pytest.mark.parametrize("suffix", ["vtu", "vtk", "msh", "inp", "bdf", "xdmf"])
+def test_ten_node_tetrahedra_are_read_by_their_corners_and_the_note_says_how_curved_they_are(tmp_path, suffix, bend):
+    points, cells = quadratic(BOX.points, TETS)
+    length = np.linalg.norm(points[cells[0, 1]] - points[cells[0, 0]])
+    points[cells[0, 4], 0] += bend * length
+    options = {"file_format": "gmsh"} if suffix == "msh" else {}
+    mesh, notes = read_with_notes(write_mesh(tmp_path / f"it.{suffix}", points, [("tetra10", cells)], **options))
+    assert np.array_equal(mesh.cells, TETS) and mesh.points == pytest.approx(BOX.points, abs=1e-11)
+    assert f"{len(TETS)} tetrahedron cells of 10 nodes are simulated by their corners" in notes[0]
+    assert ("lie up to 5 % of a side's length" in notes[0]) == (bend > 0)
+    assert "nodes that belong to no tetrahedron were removed" in notes[1] and len(notes) == 2
 
 
 def test_planar_triangles_lie_anywhere_along_z_beside_stray_nodes(tmp_path):
