@@ -17,6 +17,7 @@ from pipeline.mesh.shape_functions import find_kind
 from pipeline.mesh.simplex import Mesh
 
 _ON_A_FACE = 1e-9  # of the body's size, and of natural coordinates: rounding can put surface points outside
+_ROUNDINGS = 16  # of the largest coordinate, in the position and in the nodes of a cell
 _OFF_A_SURFACE = 0.05  # of the cell's size: points of a curved surface are beside its cells
 _OVERSHOOT = 0.25  # of the box of the nodes: a curved cell can reach beyond them
 
@@ -52,13 +53,23 @@ def locate_points(mesh: BodyMesh, points: Floats) -> tuple[Ints, Floats]:
     locate, low, high = _prepare(mesh)
     cells = np.zeros(len(points), dtype=np.int64)
     weights = np.full((len(points), int(np.diff(mesh.cell_array.offsets).max())), np.nan)
+    tolerance = _find_tolerance(mesh)
     for where, near in iterate_candidates(low, high, points):
         found = locate(points[where], near)
-        inside = np.flatnonzero((found.depth >= -_ON_A_FACE) & (found.distance <= _OFF_A_SURFACE))
+        inside = np.flatnonzero((found.depth >= -tolerance[near]) & (found.distance <= _OFF_A_SURFACE))
         order = inside[np.lexsort((near[inside], -found.depth[inside], found.distance[inside], where[inside]))]
         best = order[np.unique(where[order], return_index=True)[1]]  # the nearest and deepest of each point
         cells[where[best]], weights[where[best]] = near[best], found.weights[best]
     return cells, weights
+
+
+def _find_tolerance(mesh: BodyMesh) -> Floats:
+    """Return the natural coordinates by which a point on a face can be outside each cell (e,).
+
+    Far from the origin coordinates are rounded, and small cells feel it.
+    """
+    size = mesh.rest_volumes ** (1 / mesh.dimension)
+    return np.asarray(_ON_A_FACE + _ROUNDINGS * np.finfo(float).eps * np.abs(mesh.points).max() / size)
 
 
 def _prepare(mesh: BodyMesh) -> tuple[Locate, Floats, Floats]:

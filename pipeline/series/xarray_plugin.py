@@ -6,6 +6,7 @@ load it.
 
 import json
 from collections.abc import Iterable
+from contextlib import suppress
 from functools import wraps
 from os import PathLike, fspath
 from pathlib import Path
@@ -30,6 +31,7 @@ from pipeline.series.mesh_variables import RESERVED, describe_mesh
 from pipeline.series.series import Series, open_series
 
 _SUFFIXES = (*INDEX_SUFFIXES, *TEMPORAL_SUFFIXES, *SUFFIXES)
+_HEAD_BYTES = 1 << 16  # of an HDF5 file: the names of its first groups
 _NO_FILL = {"_FillValue": None}  # CF allows none on a coordinate; xarray writes one on every float
 _CACHE_BYTES = 1 << 25  # 32 MB: 1000 frames of a few hundred cells, or two of a million
 
@@ -136,8 +138,8 @@ def _make_variable(store: FrameStore, column: FieldColumn) -> xarray.Variable:
     return xarray.Variable(dims, lazy, column.attributes, {"preferred_chunks": chunks})
 
 
-def _decline_vtkhdf(backend: type[BackendEntrypoint]) -> None:
-    """Make a backend of xarray's own decline .vtkhdf files.
+def _decline_series(backend: type[BackendEntrypoint]) -> None:
+    """Make a backend of xarray's own decline HDF5 files that are series: .vtkhdf, .cgns, and .hdf from VTK.
 
     xarray asks them first, and they take every HDF5 file: without this, a series opens as an empty dataset unless the
     engine is named. All other files are theirs as before.
@@ -146,13 +148,22 @@ def _decline_vtkhdf(backend: type[BackendEntrypoint]) -> None:
 
     @wraps(guess)
     def guess_can_open(self: BackendEntrypoint, filename_or_obj: Any) -> bool:
-        if isinstance(filename_or_obj, str | PathLike) and Path(filename_or_obj).suffix == ".vtkhdf":
+        if isinstance(filename_or_obj, str | PathLike) and _is_hdf_series(Path(filename_or_obj)):
             return False
         return guess(self, filename_or_obj)
 
     backend.guess_can_open = guess_can_open  # type: ignore[method-assign]
 
 
+def _is_hdf_series(path: Path) -> bool:
+    """Return whether a path is a series in HDF5; a file .hdf may be anything, and names its group VTKHDF early on."""
+    if path.suffix != ".hdf":
+        return path.suffix in (".vtkhdf", ".cgns")
+    with suppress(OSError), path.open("rb") as stream:
+        return b"VTKHDF" in stream.read(_HEAD_BYTES)
+    return False
+
+
 for _backend in (NetCDF4BackendEntrypoint, H5netcdfBackendEntrypoint):
-    _decline_vtkhdf(_backend)
+    _decline_series(_backend)
 xarray.register_dataset_accessor("deformation")(DeformationAccessor)  # type: ignore[no-untyped-call]

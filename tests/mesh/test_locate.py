@@ -38,6 +38,14 @@ def test_points_outside_have_no_weights():
         locate_points(mesh, np.zeros((1, 2)))
 
 
+def test_nodes_far_from_the_origin_are_inside():
+    near = box((1.0, 1.0, 1.0), (10, 10, 10))
+    mesh = type(near)(near.points + 1e7, near.cells)
+    cells, weights = locate_points(mesh, mesh.points)
+    assert np.isfinite(weights).all()
+    assert np.einsum("pk,pkd->pd", weights, mesh.points[mesh.cells[cells]]) == pytest.approx(mesh.points, abs=1e-7)
+
+
 def test_boxes_of_very_different_sizes_are_all_searched():
     mesh = rectangle((1.0, 1.0), (1, 1))
     fine = rectangle((1e-3, 1e-3), (30, 30))
@@ -76,7 +84,7 @@ def make_one(cell_type, points, dimension, faces=None):
     count = len(points)
     cells = CellArray(np.array([cell_type], dtype=np.uint8), np.array([0, count]), np.arange(count), faces)
     if TYPES[cell_type].faceted:  # only these are needed
-        return SimpleNamespace(points=points, cell_array=cells, dimension=dimension, size=1.0)
+        return SimpleNamespace(points=points, cell_array=cells, dimension=dimension, size=1.0, rest_volumes=np.ones(1))
     return CellMesh(points, cells, dimension)
 
 

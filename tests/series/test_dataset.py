@@ -1,6 +1,7 @@
 """Datasets of any series: fields of all frames, names that can be stored, and every way out and back."""
 
 import pickle
+import shutil
 import subprocess
 import sys
 
@@ -208,6 +209,12 @@ def test_a_temporal_vtkhdf_opens_without_naming_the_engine(tmp_path, installed):
     run = subprocess.run([sys.executable, "-c", code], env=installed, capture_output=True, text=True, check=True)
     frames, variables = map(int, run.stdout.split())
     assert frames == len(read_series(folder)) and variables > 5
+    shutil.copy(folder / "series.vtkhdf", tmp_path / "a.hdf")
+    xarray.Dataset({"a": 1}).to_netcdf(tmp_path / "b.hdf", engine="netcdf4")
+    paths = [str(tmp_path / name) for name in ("a.hdf", "b.hdf")]
+    code = f"import xarray; print(*(len(xarray.open_dataset(path)) for path in {paths!r}))"
+    run = subprocess.run([sys.executable, "-c", code], env=installed, capture_output=True, text=True, check=True)
+    assert list(map(int, run.stdout.split())) == [variables, 1]
     nc = next(folder.glob("*.nc"))
     code = f"import xarray; print(len(xarray.open_dataset({str(nc)!r})))"
     run = subprocess.run([sys.executable, "-c", code], env=installed, capture_output=True, text=True, check=True)
