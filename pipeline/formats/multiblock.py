@@ -38,7 +38,7 @@ class Piece(NamedTuple):
     file: Path
 
 
-class _Content(NamedTuple):
+class _BlockContent(NamedTuple):
     """The pieces, in order, and the times and notes of a file."""
 
     pieces: tuple[Piece, ...]
@@ -105,7 +105,7 @@ def is_empty_piece(file: Path) -> bool:
     return bool(pieces) and not any(_NO_CELLS.search(piece) for piece in pieces)
 
 
-def _read_content(file: Path) -> _Content:
+def _read_content(file: Path) -> _BlockContent:
     """Return the content of a file, parsed again only after it has changed."""
     try:
         status = os.stat(file)
@@ -117,7 +117,7 @@ def _read_content(file: Path) -> _Content:
 
 
 @lru_cache(maxsize=256)  # listing asks for the pieces of every frame, reading asks again
-def _parse_content(file: Path, _modified: int, size: int) -> _Content:
+def _parse_content(file: Path, _modified: int, size: int) -> _BlockContent:
     if size > _LARGEST:
         raise ValueError(f"it has {size} bytes, too many for a file that names others")
     if reason := find_unsafe_xml(file):
@@ -143,7 +143,7 @@ def _parse_content(file: Path, _modified: int, size: int) -> _Content:
         raise ValueError(f"it names {len(pieces)} pieces, more than {_MOST_PIECES}")
     if not pieces:
         raise ValueError("it names no pieces")
-    return _Content(tuple(pieces), times, tuple(notes))
+    return _BlockContent(tuple(pieces), times, tuple(notes))
 
 
 def _name_piece(names: list[str], source: str, element: ET.Element) -> str:
