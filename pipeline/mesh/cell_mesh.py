@@ -17,6 +17,7 @@ from pipeline.mesh.rest_facets import RestFacets, measure_facets, prepare_facets
 from pipeline.mesh.simplex import Mesh, signed_volumes
 
 _LARGEST = 1e30  # [m], as for simplices
+_OFF_THE_PLANE = 1e-5  # of the size: positions in single precision leave a few 1e-7 of it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,8 +90,18 @@ class CellMesh:
         return None if self.facets is None else prepare_facets(self.find_local(self.points), self.facets)
 
     def find_local(self, points: Floats) -> Floats:
-        """Return points (n, c) in the coordinates of the plane, if there is one."""
-        return points if self.plane is None else np.ascontiguousarray(points @ self.plane.T)
+        """Return points (n, c) in the coordinates of the plane, if there is one; raises MeshError if they leave it."""
+        if self.plane is None:
+            return points
+        height = (points - self.points) @ np.cross(*self.plane)
+        height = height[np.isfinite(height)]
+        away = float(np.ptp(height)) if height.size else 0.0
+        if away > _OFF_THE_PLANE * self.size:
+            raise MeshError(
+                f"{self.name}: nodes leave the plane of the body by {away:.3g} m, so that areas in it mean nothing; "
+                "measure the cells as a surface in space"
+            )
+        return np.ascontiguousarray(points @ self.plane.T)
 
     @cached_property
     def rest_volumes(self) -> Floats:
@@ -168,9 +179,10 @@ def _check_layout(mesh: CellMesh) -> None:
         raise MeshError(f"{name}: no cells")
     if not (np.abs(mesh.points) <= _LARGEST).all():  # written so that NaN fails too
         raise MeshError(f"{name}: a point is not finite, or farther than {_LARGEST:g} from the origin")
-    if len(cells.connectivity) and not 0 <= cells.connectivity.min() <= cells.connectivity.max() < n:
-        wrong = cells.connectivity.min() if cells.connectivity.min() < 0 else cells.connectivity.max()
-        raise MeshError(f"{name}: a cell names node {wrong} of {n} (counted from 0)")
+    for nodes in (cells.connectivity, *(cells.faces[:1] if cells.faces else ())):
+        if len(nodes) and not 0 <= nodes.min() <= nodes.max() < n:
+            wrong = nodes.min() if nodes.min() < 0 else nodes.max()
+            raise MeshError(f"{name}: a cell names node {wrong} of {n} (counted from 0)")
     other = [int(t) for t in np.unique(cells.types) if int(t) in TYPES and TYPES[int(t)].dimension != mesh.dimension]
     if other:
         first = int(np.flatnonzero(cells.types == other[0])[0])

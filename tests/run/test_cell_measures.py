@@ -280,6 +280,18 @@ def test_prisms_and_polygons_have_their_volumes(number: int, sides: int) -> None
     assert turned.angles == pytest.approx([np.linalg.norm(TURN)], rel=1e-12)
 
 
+def test_bodies_that_leave_their_plane_are_not_measured_in_it() -> None:
+    points, array = make_cells(9, 4)
+    plane = rotate(np.array([1.0, -0.4, 0.2]))[:2]
+    mesh = CellMesh(points @ plane, array, 2, plane)
+    with pytest.raises(MeshError, match=r"leave the plane of the body by 0.1 m.*as a surface in space"):
+        measure_cells(mesh, mesh.points + 0.1 * points[:, :1] / np.ptp(points[:, 0]) * np.cross(*plane))
+    assert measure_cells(mesh, mesh.points + np.cross(*plane)).ratio_min == pytest.approx(np.ones(37), rel=1e-12)
+    x = mesh.points.copy()
+    x[0] = np.nan
+    assert np.isnan(measure_cells(mesh, x).volumes).sum() == 1
+
+
 def test_a_polygon_that_is_not_convex_has_its_area() -> None:
     ring = np.array([[0, 0], [2, 0], [2, 2], [1, 0.2], [0, 2.0]])
     for points in (ring, np.column_stack([ring, 0.3 * ring[:, 0]])):
@@ -316,6 +328,11 @@ def test_meshes_that_cannot_be_measured_are_refused() -> None:
         CellMesh(points, array._replace(connectivity=array.connectivity + 1), 3)
     with pytest.raises(MeshError, match=r"cell 0 \(hexahedron\) is not of dimension 2"):
         CellMesh(points, array, 2)
+    outside = make_polyhedra(cells)
+    assert outside.faces is not None
+    faces = outside.faces._replace(connectivity=outside.faces.connectivity + 1)
+    with pytest.raises(MeshError, match="names node 27 of 27"):
+        CellMesh(points, outside._replace(faces=faces), 3)
     with pytest.raises(MeshError, match="no cells"):
         CellMesh(points, CellArray(np.zeros(0, np.uint8), np.zeros(1, np.int64), np.zeros(0, np.int64)), 3)
     with pytest.raises(MeshError, match="Bezier"):
