@@ -1,6 +1,7 @@
 """Meshes as plain arrays, from the formats that meshio reads."""
 
 import io
+import re
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -12,7 +13,17 @@ import numpy as np
 from pipeline.errors import MeshError, shorten
 from pipeline.formats.plain_mesh import CellBlock, PlainMesh, make_block
 
-_REGIONS = ("gmsh:physical", "netgen:index", "medit:ref", "cell_tags", "su2:tag", "flac3d:group")
+_REGIONS = ("gmsh:physical", "netgen:index", "medit:ref", "cell_tags", "su2:tag", "avsucd:material")
+
+
+# parts of files of which meshio reads only the first, or the last, without a word
+_PARTS = {
+    **dict.fromkeys((".tec", ".dat"), (re.compile(rb"^\s*ZONE\b", re.IGNORECASE | re.MULTILINE), "zones")),
+    **dict.fromkeys(
+        (".post", ".dato"), (re.compile(rb"^\s*\$\s*COOR", re.IGNORECASE | re.MULTILINE), "$COOR sections")
+    ),
+    ".su2": (re.compile(rb"^\s*NDIME\s*=", re.MULTILINE), "zones"),
+}
 
 
 def read_by_meshio(path: Path) -> PlainMesh:
@@ -20,6 +31,7 @@ def read_by_meshio(path: Path) -> PlainMesh:
 
     meshio prints, warns, and exits if no reader accepts the file; its readers pass on their parsers' errors.
     """
+    _check_parts(path)
     printed = io.StringIO()
     try:
         with redirect_stdout(printed), redirect_stderr(printed), warnings.catch_warnings():
@@ -39,6 +51,24 @@ def read_by_meshio(path: Path) -> PlainMesh:
     return PlainMesh(points, blocks, [f"meshio says: {output}"] if output else [], regions)
 
 
+def _check_parts(path: Path) -> None:
+    """Raise MeshError if meshio would drop a part of the file, or take nodes for others."""
+    suffix = path.suffix.lower()
+    if suffix in _PARTS:
+        pattern, name = _PARTS[suffix]
+        count = len(pattern.findall(path.read_bytes()))
+        if count > 1:
+            raise MeshError(f"{path}: has {count} {name}, of which meshio reads one; write them as one mesh")
+    if suffix == ".mdpa":
+        nodes = re.search(rb"^\s*Begin\s+Nodes\s*\n(.*?)^\s*End\s+Nodes", path.read_bytes(), re.DOTALL | re.MULTILINE)
+        ids = [line.split()[0] for line in nodes[1].splitlines() if line.strip()] if nodes else []
+        wrong = next((i for i, number in enumerate(ids, 1) if number != b"%d" % i), None)
+        if wrong is not None:  # meshio takes the numbers for places
+            raise MeshError(
+                f"{path}: node {wrong} has the number {ids[wrong - 1].decode('latin-1')}; number them 1, 2, 3…"
+            )
+
+
 def _find_regions(mesh: Any, blocks: list[CellBlock]) -> list[str]:
     """Return the regions of the cells of the highest dimension, by the names in the file if it has any."""
     top = max((dimension for _, dimension, *_ in blocks), default=0)
@@ -51,7 +81,12 @@ def _find_regions(mesh: Any, blocks: list[CellBlock]) -> list[str]:
             ]  # fmt: skip
             numbers = np.unique(np.concatenate(data)).tolist() if data else []
             return [names.get((int(number), top), f"region {number:g}") for number in numbers]
-    return []
+    sets = (mesh.cell_sets or {}).items()
+    solid = [block.dim == top for block in mesh.cells]
+    return [
+        name for name, places in sets
+        if any(chosen and place is not None and len(place) for place, chosen in zip(places, solid, strict=True))
+    ]  # fmt: skip
 
 
 def _list_names(mesh: Any) -> list[tuple[str, Any]]:

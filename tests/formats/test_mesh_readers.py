@@ -1,5 +1,6 @@
 """Our own readers of meshes: Abaqus, Nastran, tetgen and Medit; known places of nodes, and all that is refused."""
 
+import meshio
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -257,3 +258,26 @@ def test_medit_files_that_do_not_fit_are_refused(tmp_path, change, words):
     assert read(tmp_path / "it.mesh", text).points.tolist() == POINTS.tolist()
     with pytest.raises(MeshError, match=words):
         read(tmp_path / "it.mesh", text.replace(*change))
+
+
+# Formats that meshio reads only in part
+
+
+@pytest.mark.parametrize(
+    ("suffix", "change", "words"),
+    [
+        ("tec", lambda text: text + text[text.index("ZONE") :], "has 2 zones, of which meshio reads one"),
+        ("su2", lambda text: text + text, "has 2 zones, of which meshio reads one"),
+        ("dato", lambda text: text.replace("$COOR", "$COOR\n1 0 0 0\n$COOR", 1), r"has 2 \$COOR sections"),
+        ("mdpa", lambda text: text.replace("\n 2 ", "\n 5 ", 1), "node 2 has the number 5"),
+    ],
+)
+def test_files_that_meshio_reads_only_in_part_are_refused(tmp_path, suffix, change, words):
+    path = tmp_path / f"it.{suffix}"
+    points = np.vstack([POINTS, [[1, 2, 3]]])
+    meshio.Mesh(points, [("tetra", [[0, 1, 2, 3], [1, 4, 2, 3]])]).write(path)
+    text = path.read_text()
+    assert len(read(path, text).points) == 5
+    assert change(text) != text
+    with pytest.raises(MeshError, match=words):
+        read(path, change(text))
