@@ -1,39 +1,75 @@
-"""Where a file has the nodes and cells of a mesh: solvers may write them in another order from frame to frame.
+"""Where a file has the nodes and cells of a mesh: in the same places, in another order told by ids or by positions.
 
-Cells are matched by ids if the file has them, else by rest positions; a cell is not its place in the connectivity.
+A cell is not its place in the connectivity: programs that run in parallel write the same cells in another order after
+a change of the partition. If every cell has points of its own, the connectivity is the same even then.
 """
 
-from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from pipeline.arrays import Fields, Floats, Ints
 from pipeline.formats.grid import CellArray, Grid
+from pipeline.series.cell_arrays import select_array
 
-# names of ids that stay with a node or a cell, in lower case and without signs
-_NODE_IDS = ("globalnodeid", "globalnodeids", "globalpointids", "nodeid", "nodeids", "nodeid", "vtkoriginalpointids",
-             "pedigreenodeid", "pedigreenodeids", "pedigreeids", "localtoglobalmap", "pointid", "pointids")  # fmt: skip
-_CELL_IDS = ("globalelementid", "globalelementids", "globalcellid", "globalcellids", "elementid", "elementids",
-             "elemid", "cellid", "cellids", "vtkoriginalcellids", "pedigreeelementid", "pedigreeelementids",
-             "pedigreeids", "localtoglobalmap")  # fmt: skip
-_APART = 1e-6  # of the body's size: positions that are this close are one; single precision leaves a few 1e-7
+_ANY = (
+    "localtoglobalmap",
+    "ids",
+    "id",
+    "globalids",
+    "global_ids",
+    "pedigreeids",
+    "originalids",
+    "gid",
+    "gids",
+    "_index",
+)
+POINT_IDS = (
+    "globalnodeid", "globalnodeids", "globalpointids", "vtkoriginalpointids", "pedigreenodeid", "pedigreepointids",
+    "nodeid", "node_id", "node_ids", "nodeids", "node_number", "nodenumber", "pointid", "point_id", "point_ids",
+    "pointids", "vertexid", "vertex_ids", "vtkoriginalnodeids", "internal_node_ids", *_ANY,
+)  # fmt: skip
+CELL_IDS = (
+    "globalelementid", "globalelementids", "globalcellids", "vtkoriginalcellids", "pedigreeelementid",
+    "pedigreecellids", "elementid", "element_id", "element_ids", "elementids", "elem_ids", "elemid", "elem_id",
+    "cellid", "cell_id", "cell_ids", "cellids", "elementnumber", "element_number", "internal_element_ids", *_ANY,
+)  # fmt: skip
+_APART = 1e-6  # of the body's size: single precision leaves a few 1e-7
 
 
 class Arrangement(NamedTuple):
-    """The points (n,) and cells (e,) of a file that are the nodes and cells of the mesh; None if they are equal."""
+    """The points (n,) and cells (e,) of a file that are the nodes and cells of the mesh; None if they are equal.
+
+    `fault` says why a frame does not have them: all indices are -1 then.
+    """
 
     nodes: Ints | None = None
     cells: Ints | None = None
+    fault: str = ""
 
     def select_nodes(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the values of the mesh's nodes, given those of a file's points."""
-        return values if self.nodes is None else values[self.nodes]
+        """Return the values of the mesh's nodes, given those of a file's points; NaN if there is a fault."""
+        return _select(values, self.nodes, missing=bool(self.fault))
 
     def select_cells(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the values of the mesh's cells, given those of a file's cells."""
-        return values if self.cells is None else values[self.cells]
+        """Return the values of the mesh's cells, given those of a file's cells; NaN if there is a fault."""
+        return _select(values, self.cells, missing=bool(self.fault))
+
+
+def _select(values: NDArray[Any], indices: Ints | None, *, missing: bool) -> NDArray[Any]:
+    if indices is None:
+        return values
+    if missing:
+        return np.full((len(indices), *values.shape[1:]), np.nan)
+    return values[indices]
+
+
+def make_missing(nodes: int, cells: int, fault: str) -> Arrangement:
+    """Return the arrangement of a frame that has none of the mesh's nodes and cells."""
+    return Arrangement(np.full(nodes, -1, dtype=np.int64), np.full(cells, -1, dtype=np.int64), fault)
 
 
 def have_same_cells(a: Grid, b: Grid) -> bool:
@@ -54,176 +90,195 @@ def _have_equal_arrays(a: CellArray, b: CellArray) -> bool:
     return all(np.array_equal(one, other) for one, other in arrays)
 
 
-def keep_ids(grid: Grid) -> Grid:
-    """Return the points and cells of a grid with no other fields than the ids of its nodes and cells."""
-    nodes, cells = _find_ids(grid.point_data, _NODE_IDS), _find_ids(grid.cell_data, _CELL_IDS)
-    return Grid(
-        grid.points, grid.count, grid.types, grid.offsets, grid.connectivity, nodes, cells, {}, grid.faces, grid.parts,
-        grid.part_names,
-    )  # fmt: skip
+@dataclass(frozen=True, eq=False)
+class IdTable:
+    """The ids of the mesh's nodes and cells, and the arrays that hold them; None if the files have none.
 
-
-def arrange_frame(
-    grid: Grid, first: Grid, base: Arrangement, find_rest: Callable[[], Floats | None]
-) -> Arrangement | None:
-    """Return where a frame has the nodes and cells of the mesh, None if it does not have them.
-
-    `base` is the arrangement of the first frame; `first` is that frame with its ids (see keep_ids), and rest positions
-    as its points; `find_rest` returns the rest positions of the frame's points (n, 3), None if they are not known.
+    `base` is the arrangement of the first frame, `raw` its measured cells with the points of that file, and `cells`
+    the same cells with the nodes of the mesh.
     """
-    same = have_same_cells(grid, first)
-    for name in first.cell_data:
-        order = _find_places(first.cell_data[name], grid.cell_data.get(name))
-        if order is None:
-            continue
-        if same and _is_identity(order):
-            return base
-        if (points := _follow_cells(grid, first, order)) is not None:
-            return _compose(points, order, base)
-    for name in first.point_data:
-        points = _find_places(first.point_data[name], grid.point_data.get(name))
-        if points is None:
-            continue
-        if same and _is_identity(points):
-            return base
-        if (order := _match_cells(grid, first, points)) is not None:
-            return _compose(points, order, base)
-    if same:
-        return base
-    rest = find_rest()
-    return None if rest is None else _match_positions(grid, first, base, rest)
+
+    point_name: str | None
+    cell_name: str | None
+    point_ids: Ints | None
+    cell_ids: Ints | None
+    base: Arrangement
+    raw: CellArray
+    cells: CellArray
+
+    @property
+    def names(self) -> str:
+        """Return the names of the arrays, for notes."""
+        return ", ".join(name for name in (self.point_name, self.cell_name) if name)
+
+    def are_in_place(self, grid: Grid) -> bool:
+        """Return whether a grid has the ids in the same places as the first one, or has no ids."""
+        points = _read_ids(grid.point_data, self.point_name)
+        cells = _read_ids(grid.cell_data, self.cell_name)
+        pairs = ((points, self.point_ids, self.base.select_nodes), (cells, self.cell_ids, self.base.select_cells))
+        return all(a is None or b is None or np.array_equal(select(a), b) for a, b, select in pairs)
+
+    def rearrange(self, nodes: Ints, cells: Ints, arrangement: Arrangement, own: CellArray) -> "IdTable":
+        """Return the table of a mesh with these nodes (n,) and cells (e,) of this one, in that order."""
+        return replace(
+            self, base=arrangement, cells=own,
+            point_ids=None if self.point_ids is None else self.point_ids[nodes],
+            cell_ids=None if self.cell_ids is None else self.cell_ids[cells], raw=select_array(self.raw, cells),
+        )  # fmt: skip
 
 
-def match_points(points: Floats, others: Floats) -> Ints | None:
-    """Return the place of each point (n, 3) among as many others, by position; None if they are not the same."""
-    from scipy.spatial import KDTree
+def find_ids(grid: Grid, base: Arrangement, cells: CellArray, *, use: bool = True) -> IdTable:
+    """Return the ids that number the nodes and `cells` of a mesh in its first frame: integers, each once."""
+    chosen: list[tuple[str | None, Ints | None]] = []
+    for fields, names, select in (
+        (grid.point_data, POINT_IDS, base.select_nodes),
+        (grid.cell_data, CELL_IDS, base.select_cells),
+    ):
+        chosen.append((None, None))
+        for name in _sort_by_rank(fields, names) if use else ():
+            ids = _read_ids(fields, name)
+            if ids is not None and len(np.unique(own := select(ids))) == len(own):
+                chosen[-1] = name, own
+                break
+    (point_name, point_ids), (cell_name, cell_ids) = chosen
+    raw = grid.cells if base.cells is None else select_array(grid.cells, base.cells)
+    return IdTable(point_name, cell_name, point_ids, cell_ids, base, raw, cells)
 
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    if points.shape != others.shape or not (np.isfinite(points).all() and np.isfinite(others).all()):
+
+def _sort_by_rank(fields: Fields, names: tuple[str, ...]) -> list[str]:
+    """Return the fields with one of these names, compared in lower case, in the order of the names."""
+    return sorted((name for name in fields if name.lower() in names), key=lambda name: names.index(name.lower()))
+
+
+def _read_ids(fields: Fields, name: str | None) -> Ints | None:
+    """Return the integers of an array with one component, or None."""
+    if name is None or name not in fields:
         return None
-    distance, nearest = map(np.asarray, KDTree(others).query(points, distance_upper_bound=_APART * size))
-    return nearest.astype(np.int64) if np.isfinite(distance).all() else None
-
-
-def match_meshes(
-    first: CellArray, points: Floats, others: CellArray, other_points: Floats, size: float
-) -> Arrangement | None:
-    """Return where other cells at rest points (m, 3) have the nodes and cells of a mesh, by positions; None if not.
-
-    Points closer than a millionth of `size` are one place; cells are matched by the places of their corners. Points
-    that lie on one another (each cell may have its own) are matched within their cells.
-    """
-    from scipy.spatial import KDTree
-
-    if len(first.types) != len(others.types) or len(first.connectivity) != len(others.connectivity):
+    values = np.asarray(fields[name])
+    values = values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values
+    if values.ndim != 1 or values.dtype.kind not in "iuf":
         return None
-    distance, nearest = map(np.asarray, KDTree(points).query(other_points, distance_upper_bound=_APART * size))
-    used = np.zeros(len(other_points), dtype=bool)
-    used[others.connectivity] = True
-    if not np.isfinite(distance[used]).all():
+    if values.dtype.kind == "f" and not (np.isfinite(values).all() and np.array_equal(values, np.round(values))):
         return None
-    places = _label_places(points, _APART * size)
-    labels = places[np.where(np.isfinite(distance), nearest, 0)]
-    order = _find_equal_rows(_sort_corners(first, places), _sort_corners(others, labels))
-    if order is None:
+    return np.asarray(values, dtype=np.int64)
+
+
+def match_by_ids(grid: Grid, table: IdTable) -> Arrangement | None:
+    """Return where a grid has the nodes and cells of the mesh by their ids; None if ids do not tell it."""
+    node_ids, element_ids = _read_ids(grid.point_data, table.point_name), _read_ids(grid.cell_data, table.cell_name)
+    where_cells = _find_ids(element_ids, table.cell_ids)
+    where_nodes = _find_ids(node_ids, table.point_ids)
+    same_point = np.arange(grid.count)
+    if where_nodes is not None and node_ids is not None:  # parts have copies of the points that they share
+        _, first, inverse = np.unique(node_ids, return_index=True, return_inverse=True)
+        same_point = first[inverse.ravel()]
+    if where_cells is None and where_nodes is not None:
+        where_cells = _find_cells(grid.cells, same_point, table.cells, where_nodes)
+    if where_cells is None:
         return None
-    nodes = np.full(len(points), -1)
-    sizes = np.diff(first.offsets)
-    for size_here in np.unique(sizes):
-        cells = np.flatnonzero(sizes == size_here)
-        mine = first.connectivity[first.offsets[cells][:, None] + np.arange(size_here)]
-        theirs = others.connectivity[others.offsets[order[cells]][:, None] + np.arange(size_here)]
-        rows = np.arange(len(cells))[:, None]
-        nodes[mine[rows, np.argsort(places[mine], axis=1)]] = theirs[rows, np.argsort(labels[theirs], axis=1)]
-    return Arrangement(nodes, order) if (nodes[first.connectivity] >= 0).all() else None
-
-
-def _is_identity(order: Ints) -> bool:
-    return np.array_equal(order, np.arange(len(order)))
-
-
-def _compose(points: Ints, cells: Ints, base: Arrangement) -> Arrangement:
-    """Return the arrangement of the mesh, given where a frame has the points and cells of the first frame."""
-    return Arrangement(base.select_nodes(points), base.select_cells(cells))
-
-
-def _follow_cells(grid: Grid, first: Grid, order: Ints) -> Ints | None:
-    """Return the place of each point of the first frame, given those of its cells; None if corners contradict."""
-    sizes = np.diff(first.offsets)
-    if not np.array_equal(first.types, grid.types[order]) or not np.array_equal(sizes, np.diff(grid.offsets)[order]):
+    if where_nodes is None:
+        where_nodes = _follow_cells(grid, where_cells, table)
+        if where_nodes is None:
+            return None
+    elif not np.array_equal(
+        _sort_corners(select_array(grid.cells, where_cells), same_point), _sort_corners(table.cells, where_nodes)
+    ):
         return None
-    shifts = np.repeat(grid.offsets[:-1][order] - first.offsets[:-1], sizes)
-    corners = grid.connectivity[np.arange(len(first.connectivity)) + shifts]
-    places = np.zeros(first.count, dtype=np.int64)
-    places[first.connectivity] = corners
+    return Arrangement(where_nodes, where_cells)
+
+
+def _find_ids(ids: Ints | None, wanted: Ints | None) -> Ints | None:
+    """Return the first place of every wanted id, or None if one is missing."""
+    if ids is None or wanted is None or not len(ids):
+        return None
+    values, first = np.unique(ids, return_index=True)
+    place = np.clip(np.searchsorted(values, wanted), 0, len(values) - 1)
+    return np.asarray(first[place], dtype=np.int64) if np.array_equal(values[place], wanted) else None
+
+
+def _follow_cells(grid: Grid, where: Ints, table: IdTable) -> Ints | None:
+    """Return the point of every node, given the place of every cell, whose corners keep their order; or None."""
+    raw, own = table.raw, select_array(grid.cells, where)
+    if not np.array_equal(own.offsets, raw.offsets) or not np.array_equal(own.types, raw.types):
+        return None
+    points = np.full(int(raw.connectivity.max()) + 1, -1, dtype=np.int64)
+    points[raw.connectivity] = own.connectivity
     x = grid.points
-    apart = np.abs(x[places[first.connectivity]] - x[corners])  # a node has one position, whichever cell names it
-    return places if not (apart > _APART * np.ptp(x, axis=0).max()).any() else None
-
-
-def _match_cells(grid: Grid, first: Grid, points: Ints) -> Ints | None:
-    """Return the place of each cell of the first frame, given those of its points; None if a cell is missing."""
-    if len(first.types) != len(grid.types) or len(first.connectivity) != len(grid.connectivity):
+    apart = np.abs(x[points[raw.connectivity]] - x[own.connectivity])  # a node has one place, whichever cell names it
+    if (apart > _APART * float(np.ptp(x, axis=0).max(initial=0.0))).any():
         return None
-    return _find_equal_rows(_sort_corners(first.cells, points), _sort_corners(grid.cells, np.arange(grid.count)))
+    nodes = table.base.nodes
+    nodes = points if nodes is None else points[np.minimum(nodes, len(points) - 1)]
+    return None if (nodes < 0).any() else nodes
 
 
-def _match_positions(grid: Grid, first: Grid, base: Arrangement, rest: Floats) -> Arrangement | None:
-    size = float(np.linalg.norm(np.ptp(first.points, axis=0)))
-    match = match_meshes(first.cells, first.points, grid.cells, rest, size)
-    if match is None or match.nodes is None or match.cells is None:
-        return None
-    return _compose(match.nodes, match.cells, base)
-
-
-def _label_places(points: Floats, tolerance: float) -> Ints:
-    """Return the same number for points that lie on one another."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
-    pairs = KDTree(points).query_pairs(tolerance, output_type="ndarray")
-    n = len(points)
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+def _find_cells(cells: CellArray, labels: Ints, wanted: CellArray, nodes: Ints) -> Ints | None:
+    """Return the cell that has the points of each wanted cell; None if there is none."""
+    theirs, mine = _sort_corners(cells, labels), _sort_corners(wanted, nodes)
+    width = max(theirs.shape[1], mine.shape[1])
+    rows = np.concatenate([np.pad(a, [(0, 0), (0, width - a.shape[1])], constant_values=-1) for a in (theirs, mine)])
+    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    found = first[inverse.ravel()[len(theirs) :]]
+    return np.asarray(found, dtype=np.int64) if (found < len(theirs)).all() else None
 
 
 def _sort_corners(cells: CellArray, labels: Ints) -> Ints:
-    """Return the labels of each cell's corners in increasing order, padded with -1, after its number of corners."""
+    """Return the labels of each cell's corners in increasing order, padded with -1, after its type."""
     sizes = np.diff(cells.offsets)
-    out = np.full((len(sizes), int(sizes.max())), -1, dtype=np.int64)
-    out[np.arange(out.shape[1]) < sizes[:, None]] = labels[cells.connectivity]
-    out.sort(axis=1)
-    return np.column_stack([sizes, out])
+    rows = np.full((len(sizes), int(sizes.max(initial=0))), -1, dtype=np.int64)
+    rows[np.arange(rows.shape[1]) < sizes[:, None]] = labels[cells.connectivity]
+    rows.sort(axis=1)
+    return np.column_stack([cells.types.astype(np.int64), rows])
 
 
-def _find_equal_rows(rows: Ints, others: Ints) -> Ints | None:
-    """Return the place of each row among the others; None if they are not the same rows."""
-    if rows.shape != others.shape:
+def match_by_positions(
+    X: Floats, cells: CellArray, other: Floats, other_cells: CellArray, tolerance: float
+) -> Arrangement | None:
+    """Return where points `other` (m, c) and their cells are nodes X (n, c) and cells of a mesh at rest; or None.
+
+    Cells match by their centers and the positions of their nodes, so that coincident points of different cells are
+    told apart. `other` may hold more cells and points than the mesh (ghosts, cells of lower dimension).
+    """
+    if not len(other_cells.types) or not np.isfinite(other).all():
         return None
-    order, other_order = np.lexsort(rows.T[::-1]), np.lexsort(others.T[::-1])
-    if not np.array_equal(rows[order], others[other_order]):
+    where = _match_centers(
+        _find_centers(X, cells), cells.types, _find_centers(other, other_cells), other_cells.types, tolerance
+    )
+    if where is None or not np.array_equal(np.diff(other_cells.offsets)[where], np.diff(cells.offsets)):
         return None
-    out = np.empty(len(rows), dtype=np.int64)
-    out[order] = other_order
-    return out
+    nodes = np.full(len(X), -1, dtype=np.int64)
+    sizes = np.diff(cells.offsets)
+    for size in np.unique(sizes).tolist():
+        group = np.flatnonzero(sizes == size)
+        own = cells.connectivity[cells.offsets[group][:, None] + np.arange(size)]
+        their = other_cells.connectivity[other_cells.offsets[where[group]][:, None] + np.arange(size)]
+        apart = np.abs(X[own][:, :, None] - other[their][:, None]).max(axis=3)
+        nearest = apart.argmin(axis=2)
+        if not (np.take_along_axis(apart, nearest[:, :, None], axis=2) <= tolerance).all():
+            return None
+        nodes[own] = np.take_along_axis(their, nearest, axis=1)
+    return None if (nodes < 0).any() else Arrangement(nodes, where)
 
 
-def _find_ids(fields: Fields, names: tuple[str, ...]) -> Mapping[str, NDArray[Any]]:
-    """Return the fields that are ids: whole numbers, each once."""
-    ids = {}
-    for name in fields:
-        if "".join(filter(str.isalnum, name.lower())) in names:
-            values = np.asarray(fields[name]).reshape(-1)
-            if values.dtype.kind in "iu" and len(np.unique(values)) == len(values) > 1:
-                ids[name] = values
-    return ids
+def _find_centers(points: Floats, cells: CellArray) -> Floats:
+    """Return the mean position (e, c) of the points of every cell."""
+    sizes = np.diff(cells.offsets)
+    owner = np.repeat(np.arange(len(sizes)), sizes)
+    sums = [np.bincount(owner, axis, minlength=len(sizes)) for axis in points[cells.connectivity].T]
+    return np.column_stack(sums) / np.maximum(sizes, 1)[:, None]
 
 
-def _find_places(ids: NDArray[Any], field: NDArray[Any] | None) -> Ints | None:
-    """Return the place of each id in a field of ids, None unless all of them are there, once."""
-    if field is None or len(field := np.asarray(field).reshape(-1)) != len(ids):
-        return None
-    order = np.argsort(field, kind="stable")
-    places = order[np.minimum(np.searchsorted(field, ids, sorter=order), len(field) - 1)]
-    return places.astype(np.int64) if np.array_equal(field[places], ids) else None
+def _match_centers(
+    centers: Floats, types: NDArray[np.uint8], others: Floats, other_types: NDArray[np.uint8], tolerance: float
+) -> Ints | None:
+    """Return the cell of the same type at every center, each once; None if one has no partner."""
+    where = np.full(len(centers), -1, dtype=np.int64)
+    for kind in np.unique(types).tolist():
+        own, their = np.flatnonzero(types == kind), np.flatnonzero(other_types == kind)
+        if not len(their):
+            return None
+        distances, nearest = cKDTree(others[their]).query(centers[own], distance_upper_bound=max(4 * tolerance, 1e-300))
+        if not np.isfinite(distances).all():
+            return None
+        where[own] = their[np.asarray(nearest, dtype=np.int64)]
+    return where if len(np.unique(where)) == len(where) else None

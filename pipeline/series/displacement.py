@@ -1,260 +1,386 @@
-"""The displacement of a series: which point fields hold it, and whether the points include it already.
+"""Which field is the displacement, and whether the points already contain it: decided by the numbers of many frames.
 
-The motion of the points decides. Points that rest need a displacement field; points that move as a field does include
-it already, and points minus displacement are the rest state. A name decides only if it can mean nothing else: `U` is
-the velocity of one program and the displacement of another. In all other cases the caller is asked.
+Solvers write deformed points, rest points with a displacement u, or deformed points and u as well. With x the points
+and X the rest state,
+
+    x_k - x_0 = 0          the points rest: u must be added to them
+    x_k - x_0 = u_k - u_0  the points contain u: adding it would double it, and X = x_0 - u_0
+    otherwise              the points move, and u is something else
+
+A name decides only if the numbers allow it. If more than one reading is left, SeriesError asks for one.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cached_property
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.arrays import Floats, Ints
+from pipeline.arrays import Floats
 from pipeline.errors import SeriesError, join_names, shorten
-from pipeline.formats.grid import Grid
-from pipeline.series.arrangement import have_same_cells, match_points
-from pipeline.series.vector_fields import VectorField, find_vector_field, list_vector_fields
+from pipeline.formats.grid import Grid, describe_arrays
+from pipeline.series.vector_fields import VectorField, find_flow_fields, find_vector_fields, select_named_field
 
-_PRESSURES = ("p", "pressure", "p_rgh", "p_h", "ph")
-SAME = 1e-3  # relative difference of motions that are one and the same: texts may have four digits
-_ROUNDING = 4.0  # differences of numbers that are stored in single precision, in units of their spacing
+_LOOKED_AT = 1_000_000  # points of all frames that are looked at when a series is opened
+_FEWEST, _MOST = 3, 24  # frames
+_ROUNDING = 64 * np.finfo(np.float64).eps  # of the coordinates: x computed as (X + u) - u
+_ROUNDING_SINGLE = 8 * float(np.finfo(np.float32).eps)
+_NOISE = 1e-6  # of the size: text of six digits; no larger motion is taken for noise
+_MATCH = 1e-2  # of the largest displacement: points that contain u up to this part of it
+_ABSURD = 100.0  # sizes of the body
+_INVERTED = 0.5  # of the cells: methods that fail invert some, a velocity most
+# formats whose points are those of the mesh, whatever the displacement
+_MESH_FORMATS = {".e", ".ex2", ".exo", ".g", ".frd", ".med", ".rmed", ".mmed"}
+
+Sample = Sequence[tuple[int, Grid]]  # frames that have the mesh of the first, by their index; the first one first
 
 
-class Displacement(NamedTuple):
-    """The displacement field, None if there is none; whether it must be added to the points; notes on the decision.
+@dataclass(frozen=True)
+class DisplacementChoice:
+    """The displacement field, if there is one, and whether it is `added` to the points or they contain it."""
 
-    `at_rest` says that the points do not move.
-    """
-
-    field: VectorField | None
-    is_added: bool
-    at_rest: bool
+    vector: VectorField | None
+    added: bool
     notes: tuple[str, ...] = ()
+    late: bool = False  # the first frame does not have it: it is zero there
+    guessed: bool = False  # frames that were not looked at are checked when they are read
+    text: str = ""  # for the two lines of an answer
 
 
-class _Motion(NamedTuple):
-    """The largest motion of the points, of a field, and of their difference, since the first frame; their rounding."""
+@dataclass(eq=False)
+class FieldMotion:
+    """The numbers of one field over the sample: largest values, and how they compare with the motion of the points."""
 
-    points: float
-    field: float
-    difference: float
-    rounding: float
+    vector: VectorField
+    first: Floats | None  # values in the first frame, None if it has none
+    frames: int = 0  # that have it
+    largest: float = 0.0
+    varies: float = 0.0  # largest |u_k - u_0|
+    differs: float = 0.0  # largest |(x_k - x_0) - (u_k - u_0)|
+    differs_from_steps: float = 0.0  # largest |(x_k - x_k-1) - u_k|, of consecutive frames
+    scales: list[float] = field(default_factory=list)  # of u_k - u_0 that fit x_k - x_0 best, where they fit
 
     @property
-    def is_included(self) -> bool:
-        """Return whether the points move as the field does."""
-        return self.points > self.rounding and self.difference <= SAME * self.points + self.rounding
-
-    @property
-    def is_apart(self) -> bool:
-        """Return whether the points rest while the field changes."""
-        return self.field > self.rounding and self.points <= SAME * self.field + self.rounding
+    def at_start(self) -> float:
+        """The largest value in the first frame; 0 if it has none."""
+        return 0.0 if self.first is None else float(np.abs(self.first).max(initial=0.0))
 
 
+@dataclass(frozen=True, eq=False)
 class Evidence:
-    """Points and fields of some frames of a series whose points correspond; `rest` are rest points, if a file has them.
+    """The motion of the points and of every vector field over the sample of frames."""
 
-    `grids` are given by the numbers of the frames, of which 0 is one.
-    """
-
-    def __init__(self, grids: Mapping[int, Grid], rest: Floats | None = None) -> None:
-        self.grids = dict(grids)
-        self.first = self.grids[0]
-        self.fields = list_vector_fields(self.grids.values())
-        self._rest, self._x = rest, self.first.points
-        self._others: list[tuple[Grid, Ints | None, Floats]] = []  # grid, places of the first one's points, motion
-        for index, grid in self.grids.items():
-            if index and grid.count == self.first.count:
-                places = None if have_same_cells(grid, self.first) else self._find_places(grid)
-                if places is not None or have_same_cells(grid, self.first):
-                    x = grid.points if places is None else grid.points[places]
-                    self._others.append((grid, places, x - self._x))
-
-    def _find_places(self, grid: Grid) -> Ints | None:
-        """Return where a frame that lists its cells in another order has the points of the first; None if unknown.
-
-        Its points are those of the first, or become so without a displacement.
-        """
-        places = match_points(self._x, grid.points)
-        for field in self.fields.values() if places is None else ():
-            places = match_points(self._x - field.read(self.first), grid.points - field.read(grid))
-            if places is not None:
-                break
-        return places
-
-    def measure(self, field: VectorField) -> _Motion:
-        """Return how far points and field move in these frames, and from the rest points of a file if there are any."""
-        start = field.read(self.first)
-        pairs = []
-        for grid, places, dx in self._others:
-            values = field.read(grid)
-            pairs.append((dx, (values if places is None else values[places]) - start))
-        if self._rest is not None:
-            pairs.append((self._x - self._rest, start))
-        points, moved, difference = 0.0, 0.0, 0.0
-        for dx, du in pairs:
-            points, moved = max(points, find_largest(dx)), max(moved, find_largest(du))
-            difference = max(difference, find_largest(dx - du))
-        return _Motion(points, moved, difference, self.rounding)
-
-    @cached_property
-    def motion(self) -> float:
-        """Return how far the points move in these frames, and from the rest points of a file if there are any."""
-        from_rest = [] if self._rest is None else [find_largest(self._x - self._rest)]
-        return max([0.0, *from_rest, *(find_largest(dx) for *_, dx in self._others)])
+    motions: dict[str, FieldMotion]
+    moves: float  # largest |x_k - x_0|
+    rounding: float  # [m]: smaller motions may be the rounding of coordinates
+    size: float  # [m]
+    frames: int
+    total: int
+    flow: tuple[str, ...]  # fields of a flow
 
     @property
-    def shows_motion(self) -> bool:
-        """Return whether the points move, or a field that may be a displacement changes."""
-        if self.motion > self.rounding:
-            return True
-        return any(self.measure(field).field > 0 for field in self.fields.values() if not field.is_other)
-
-    @cached_property
-    def rounding(self) -> float:
-        """Return how far rounding can move a point: in single precision if all points are such numbers."""
-        points = [self._x, *(grid.points for grid, *_ in self._others)]
-        single = all(np.array_equal(x.astype(np.float32), x, equal_nan=True) for x in points)
-        largest = max(find_largest(x) for x in points)
-        return _ROUNDING * float(np.spacing(np.float32(largest)) if single else np.spacing(largest))
-
-    def is_position(self, field: VectorField) -> bool:
-        """Return whether a field is the points themselves, up to a shift: points minus it are one point."""
-        offset = self._x - field.read(self.first)
-        size = find_largest(np.ptp(self._x, axis=0))
-        return find_largest(offset - offset.mean(axis=0)) <= SAME * size
+    def points_rest(self) -> bool:
+        """Return whether the points move by less than their rounding."""
+        return self.moves <= self.rounding
 
 
-def collect_evidence(first: Grid, read: Callable[[int], Grid], count: int, rest: Floats | None) -> Evidence:
-    """Return the first frame of `count`, the middle and the last one.
+def choose_sample(count: int, points: int) -> list[int]:
+    """Return the indices of the frames to look at: all of a short series, else the first ones and some of the rest."""
+    most = int(np.clip(_LOOKED_AT // max(points, 1), _FEWEST, _MOST))
+    if count <= most:
+        return list(range(count))
+    early = 3 if most > 6 else 1
+    spread = np.linspace(early - 1, count - 1, most - early + 1).round().astype(int)
+    return sorted({*range(early), *spread.tolist()})
 
-    If their points rest and none of them has a displacement that changes, further frames are read, up to the first one
-    that shows either.
+
+def weigh_evidence(sample: Sample, reference: Floats | None, total: int) -> Evidence:
+    """Return the evidence of the frames; `reference` is a known rest state of the first frame's points.
+
+    With a reference, the fields are compared as displacements from it.
     """
-    sampled = sorted({count // 2, count - 1} - {0})
-    evidence = Evidence({0: first} | {index: read(index) for index in sampled}, rest)
-    if evidence.shows_motion:
-        return evidence
-    for index in set(range(1, count)).difference(sampled):
-        more = Evidence({0: first, index: read(index)}, rest)
-        if more.shows_motion:
-            return Evidence(evidence.grids | more.grids, rest)
-    return evidence
+    first = sample[0][1]
+    x0 = first.points if reference is None else reference
+    motions = dict[str, FieldMotion]()
+    moves, last, names = 0.0, (-2, x0), set[str]()
+    rounding = max(_find_rounding(grid) for _, grid in sample)
+    for index, grid in sample:
+        names |= set(grid.point_data)
+        x = grid.points
+        moves = max(moves, _find_largest(x - x0))
+        for name, vector in find_vector_fields(grid).items():
+            if vector.role == "other" or (u := vector.read(grid)) is None:
+                continue
+            motion = motions.setdefault(name, FieldMotion(vector, vector.read(first)))
+            start = 0.0 if reference is not None or motion.first is None else motion.first
+            _compare(motion, x - x0, u, u - start, x - last[1] if index == last[0] + 1 else None)
+        last = index, x
+    size = float(np.linalg.norm(np.ptp(x0[np.isfinite(x0).all(axis=1)], axis=0))) if np.isfinite(x0).any() else 0.0
+    return Evidence(motions, moves, rounding, size, len(sample), total, tuple(sorted(find_flow_fields(names))))
+
+
+def _compare(motion: FieldMotion, moved: Floats, u: Floats, du: Floats, step: Floats | None) -> None:
+    """Add a frame, in which the points have moved and the field u has changed by du, to a field's numbers."""
+    motion.frames += 1
+    motion.largest = max(motion.largest, _find_largest(u))
+    motion.varies = max(motion.varies, _find_largest(du))
+    motion.differs = max(motion.differs, _find_largest(moved - du))
+    if step is not None:
+        motion.differs_from_steps = max(motion.differs_from_steps, _find_largest(step - u))
+    finite = np.isfinite(moved).all(axis=1) & np.isfinite(du).all(axis=1)
+    a, b = moved[finite], du[finite]
+    if (length := float((b * b).sum())) > 0:
+        scale = float((a * b).sum()) / length
+        if _find_largest(a - scale * b) <= _MATCH * _find_largest(a):
+            motion.scales.append(scale)
+
+
+def _find_largest(values: Floats) -> float:
+    """Return the largest absolute value, without those that are not finite."""
+    finite = np.where(np.isfinite(values), np.abs(values), 0.0)
+    return float(finite.max(initial=0.0))
+
+
+def _find_rounding(grid: Grid) -> float:
+    """Return the rounding of the coordinates of a grid [m]."""
+    single = is_single(grid)
+    return (_ROUNDING_SINGLE if single else _ROUNDING) * _find_largest(grid.points)
+
+
+def is_single(grid: Grid) -> bool:
+    """Return whether the points are stored in single precision."""
+    stored = grid.stored_points
+    if isinstance(stored, np.ndarray):
+        return stored.dtype.itemsize == 4
+    return describe_arrays(stored)["Points"][0].itemsize == 4
 
 
 def choose_displacement(
-    evidence: Evidence, wanted: str | None, where: str, *, included: bool | None = None
-) -> Displacement:
-    """Return the displacement of a series; raises SeriesError, with the choices, if the evidence does not decide.
+    evidence: Evidence, name: str | None, first: Grid, where: str, *, known_rest: bool
+) -> DisplacementChoice:
+    """Return the displacement that the evidence and the user's word `name` give; raises SeriesError to ask.
 
-    `wanted` is the caller's field, "none" for no field, or None; `included` is the caller's word on whether the points
-    include it.
+    `known_rest` says that the points were compared with a rest state that the user or the files give. If the files have
+    it, in the field rest_position, points that move from it need no other evidence.
     """
-    moves = evidence.motion > evidence.rounding
-    if wanted == "none":
-        return Displacement(None, False, not moves)
-    if wanted is not None:
-        field = find_vector_field(wanted, evidence.grids.values(), where)
-        return _judge_wanted(evidence, field, where, included=included)
-    fields = [field for field in evidence.fields.values() if not field.is_other and not evidence.is_position(field)]
-    motions = {field: evidence.measure(field) for field in fields}
-    if moving := [field for field in fields if motions[field].is_included and not motions[field].is_apart]:
-        return _choose_included(evidence, moving, where)
-    if moves and not any(motions[field].is_apart for field in fields):
-        if strange := [field for field in fields if field.is_clear]:
-            raise SeriesError(_describe_conflict(strange[0], motions[strange[0]], where))
-        return Displacement(None, False, False)
-    changing = [field for field in fields if motions[field].field > 0 or find_largest(field.read(evidence.first)) > 0]
-    return _choose_added(evidence, changing, where, included=included)
+    if name == "none":
+        return DisplacementChoice(None, added=False, text="the points of the files, as displacement = none says")
+    if name is not None:
+        return _use_named(evidence, name, first, where)
+    motions = {key: m for key, m in evidence.motions.items() if m.largest > 0 or m.vector.role == "clear"}
+    if evidence.frames == 1 and not known_rest:
+        return _judge_single_frame(evidence, motions, where)
+    if known_rest and "rest_position" in first.point_data and not evidence.points_rest:
+        return DisplacementChoice(None, added=False, text="deformed points")
+    contained = [m for m in motions.values() if _is_contained(evidence, m)]
+    if contained:
+        return _note_contained(evidence, contained, where)
+    if _do_points_rest(evidence, motions):
+        return _choose_at_rest(evidence, motions, where)
+    return _judge_moving_points(evidence, motions, where)
 
 
-def _judge_wanted(evidence: Evidence, field: VectorField, where: str, *, included: bool | None) -> Displacement:
-    """Return the decision for the field that the caller names: only whether the points include it is open."""
-    motion = evidence.measure(field)
-    if included or (included is None and motion.is_included and not motion.is_apart):
-        return Displacement(field, False, False, (f"the points move by {field.label}: it is not added to them again",))
-    if evidence.motion > evidence.rounding and not motion.is_apart:
-        raise SeriesError(_describe_conflict(field, motion, where))
-    return Displacement(field, True, True)
-
-
-def _choose_included(evidence: Evidence, fields: Sequence[VectorField], where: str) -> Displacement:
-    """Return the displacement that the points include; several fields must agree in the first frame."""
-    best = [field for field in fields if field.is_clear] or list(fields)
-    starts = [field.read(evidence.first) for field in best]
-    if any(find_largest(start - starts[0]) > evidence.rounding + SAME * find_largest(start) for start in starts):
-        raise SeriesError(
-            f"{where}: the points move as {_join(best)} do, which differ in the first frame: say which one is the "
-            'displacement (displacement = NAME), or displacement = "none" if the first frame is the rest state'
-        )
-    note = f"the points move by {best[0].label}: it is not added to them again"
-    return Displacement(best[0], False, False, (note,))
-
-
-def _choose_added(
-    evidence: Evidence, fields: Sequence[VectorField], where: str, *, included: bool | None
-) -> Displacement:
-    """Return the displacement to add to points that rest; `fields` are the candidates that are not zero everywhere."""
-    clear = [field for field in fields if field.is_clear]
-    candidates = clear or fields
-    if not candidates:
-        named = [field for field in evidence.fields.values() if field.is_clear]
-        if named:
-            return Displacement(named[0], True, True, (f"{named[0].label} is zero: the body rests",))
-        note = "the points do not move and there is no displacement field" if len(evidence.grids) > 1 else ""
-        return Displacement(None, False, True, (note,) if note else ())
-    if len(candidates) == 1 and (clear or _starts_as_displacement(evidence, candidates[0])):
-        return _add_only(evidence, candidates[0], where, included=included)
-    raise SeriesError(
-        f"{where}: the points do not move, and the displacement may be any of {_join(candidates)}: "
-        'say which (displacement = NAME), or displacement = "none" if the body is at rest'
+def _use_named(evidence: Evidence, name: str, first: Grid, where: str) -> DisplacementChoice:
+    """Return the choice if the user named the field; the numbers still decide whether the points contain it."""
+    motion = next((m for m in evidence.motions.values() if m.vector.name == name), None)
+    vector = motion.vector if motion else select_named_field(first, name)
+    if vector is None:
+        raise SeriesError(_explain_missing(first, name, where))
+    if motion is not None and _is_contained(evidence, motion):
+        return _note_contained(evidence, [motion], where)
+    late = not vector.is_in(first)
+    return DisplacementChoice(
+        vector, added=True, late=late, notes=_note_late(vector, late=late), text=f"rest points + {name}"
     )
 
 
-def _add_only(evidence: Evidence, field: VectorField, where: str, *, included: bool | None) -> Displacement:
-    """Return the decision for the only candidate, unless nothing shows whether the points include it."""
-    motion = evidence.measure(field)
-    if included:
-        return Displacement(field, False, False, (f"the points are taken to include {field.label}",))
-    if included is None and not motion.is_apart and find_largest(field.read(evidence.first)) > evidence.rounding:
-        raise SeriesError(
-            f"{where}: {field.label} does not change, so nothing shows whether the points include it: say "
-            f'rest = "points" if they are the rest state (displacement = "{field.label}" is added to them), '
-            'or rest = "subtract" if they include it'
+def _explain_missing(first: Grid, name: str, where: str) -> str:
+    names = join_names(sorted(first.point_data)) or "none"
+    if name in first.point_data:
+        return f"{where}: the point field {shorten(name)} {first.point_data[name].shape} is not a vector field"
+    if name in first.cell_data:
+        return (
+            f"{where}: {shorten(name)} is a cell field, and cells do not say where their nodes are; write it at the "
+            f'points, or displacement = "none"; the point fields are {names}'
         )
-    notes = [f"the points do not move; {field.label} is taken as the displacement and added to them"]
-    absent = [index for index, grid in evidence.grids.items() if not field.is_in(grid)]
-    if absent:
-        notes.append(f"frames without {field.label}, such as frame {absent[0]}, count as not displaced")
-    return Displacement(field, True, True, tuple(notes))
+    return f"{where}: no point field {shorten(name)}; it has {names}"
 
 
-def _starts_as_displacement(evidence: Evidence, field: VectorField) -> bool:
-    """Return whether a field with a short name is a displacement: zero in the first frame, and no pressure beside it.
-
-    A velocity field of a flow usually has a pressure beside it, or a start that is not zero.
-    """
-    names = {name.lower() for grid in evidence.grids.values() for name in (*grid.point_data, *grid.cell_data)}
-    on_cells = any(name in grid.cell_data for grid in evidence.grids.values() for name in field.names)
-    flow = on_cells or bool(names.intersection(_PRESSURES))
-    return field.is_short and not flow and find_largest(field.read(evidence.first)) == 0.0
+def _is_contained(evidence: Evidence, motion: FieldMotion) -> bool:
+    """Return whether the points move as the field says."""
+    if motion.varies <= evidence.rounding or evidence.moves <= evidence.rounding:
+        return False
+    return motion.differs <= max(2 * evidence.rounding, _MATCH * motion.varies) and evidence.moves >= motion.varies / 2
 
 
-def _describe_conflict(field: VectorField, motion: _Motion, where: str) -> str:
+def _note_contained(evidence: Evidence, contained: list[FieldMotion], where: str) -> DisplacementChoice:
+    best = min(contained, key=lambda m: (m.vector.role != "clear", m.differs))
+    name, late = best.vector.name, best.first is None
+    rest = "" if best.at_start <= evidence.rounding else "; the first frame is deformed already"
+    note = (
+        f"the points move as the field {shorten(name)} says (up to {best.differs:.1g} m): it is not added to them{rest}"
+    )
+    return DisplacementChoice(
+        best.vector, added=False, notes=(note,), late=late, text=f"deformed points, which contain {name}"
+    )
+
+
+def _do_points_rest(evidence: Evidence, motions: dict[str, FieldMotion]) -> bool:
+    """Return whether the points move only by noise, which is small beside their size and beside a clear field."""
+    if evidence.points_rest:
+        return True
+    clear = max((m.varies for m in motions.values() if m.vector.role == "clear"), default=0.0)
+    return evidence.moves <= _NOISE * evidence.size and evidence.moves <= 1e-3 * clear
+
+
+def _choose_at_rest(evidence: Evidence, motions: dict[str, FieldMotion], where: str) -> DisplacementChoice:
+    """Return the one field that can be the displacement of points at rest; raises SeriesError if there are several."""
+    clear = _drop_copies([m for m in motions.values() if m.vector.role == "clear"])
+    short = _drop_copies(
+        [m for m in motions.values() if m.vector.role == "short" and m.largest > 0 and _varies(evidence, m)]
+    )
+    vague = [m for m in motions.values() if m.vector.role == "vague" and m.largest > 0 and _varies(evidence, m)]
+    if len(clear) == 1 and (clear[0].largest > 0 or not short):
+        return _take(evidence, clear[0])
+    if len(clear) > 1 and len(moving := [m for m in clear if m.largest > 0]) == 1:
+        return _take(evidence, moving[0])
+    single = short[0] if len(short) == 1 and not vague and not clear else None
+    if (
+        single is not None
+        and not evidence.flow
+        and single.first is not None
+        and single.at_start <= _MATCH * single.varies
+    ):
+        return _take(evidence, single)
+    if candidates := [*clear, *short, *vague]:
+        raise SeriesError(_ask(evidence, candidates, where))
+    if evidence.total == 1:
+        return DisplacementChoice(None, added=False, text="the points of the only frame")
+    note = "the points do not move and there is no displacement field: the body is measured as at rest"
+    return DisplacementChoice(None, added=False, notes=(note,), guessed=True, text="points at rest, no displacement")
+
+
+def _varies(evidence: Evidence, motion: FieldMotion) -> bool:
+    """Return whether a field changes with time; a constant one (fibers, normals, a steady flow) moves nothing."""
+    return evidence.total == 1 or motion.varies > 1e-9 * motion.largest or motion.frames < evidence.frames
+
+
+def _take(evidence: Evidence, motion: FieldMotion) -> DisplacementChoice:
+    vector, name = motion.vector, shorten(motion.vector.name)
+    notes = [f"the points do not move; the field {name} is taken as the displacement"]
+    if evidence.moves > 0:
+        notes[0] = (
+            f"the points move by {evidence.moves:.1g} m (rounding); the field {name} is taken as the displacement"
+        )
+    late = motion.first is None
+    notes += _note_late(vector, late=late)
+    if evidence.frames < evidence.total:
+        notes.append(
+            f"this was decided from {evidence.frames} of {evidence.total} frames; the others are checked when read"
+        )
+    return DisplacementChoice(
+        vector, added=True, notes=tuple(notes), late=late, guessed=True, text=f"rest points + {name}"
+    )
+
+
+def _note_late(vector: VectorField, *, late: bool) -> tuple[str, ...]:
     return (
-        f"{where}: the points move by up to {motion.points:.3g}, {shorten(field.label)} by up to {motion.field:.3g}, "
-        f'and they differ by up to {motion.difference:.3g}: say displacement = "none" if the points alone are the '
-        "motion, or write points and displacement that agree"
+        (f"the first frame does not have the field {shorten(vector.name)}: it is taken as zero there",) if late else ()
     )
 
 
-def find_largest(values: Floats) -> float:
-    """Return the largest finite absolute value."""
-    finite = np.abs(values[np.isfinite(values)])
-    return float(finite.max()) if finite.size else 0.0
+def _drop_copies(motions: list[FieldMotion]) -> list[FieldMotion]:
+    """Return the fields without those whose numbers are the same as those of an earlier one."""
+    different = list[FieldMotion]()
+    for motion in sorted(motions, key=lambda m: (len({source for source, _ in m.vector.columns}), len(m.vector.name))):
+        same = [
+            m for m in different
+            if m.frames == motion.frames and np.isclose(m.largest, motion.largest, rtol=1e-6, atol=0)
+            and np.isclose(m.varies, motion.varies, rtol=1e-6, atol=0)
+            and (m.first is None) == (motion.first is None)
+            and (m.first is None or motion.first is None or np.allclose(m.first, motion.first, atol=1e-6 * m.largest))
+        ]  # fmt: skip
+        if not same:
+            different.append(motion)
+    return different
 
 
-def _join(fields: Iterable[VectorField]) -> str:
-    return join_names(sorted(field.label for field in fields))
+def _ask(evidence: Evidence, candidates: list[FieldMotion], where: str) -> str:
+    """Return the question, with the choices and the reasons against taking one of them."""
+    names = join_names(sorted(m.vector.name for m in candidates))
+    reasons = []
+    if evidence.flow:
+        reasons.append(f"beside {join_names(evidence.flow)}, a vector may be a velocity")
+    if deformed := [m.vector.name for m in candidates if m.at_start > 0]:
+        reasons.append(f"{join_names(deformed)} is not zero in the first frame")
+    if late := [m.vector.name for m in candidates if m.first is None]:
+        reasons.append(f"{join_names(late)} is not in the first frame")
+    reason = f" ({'; '.join(reasons)})" if reasons else ""
+    return (
+        f"{where}: the points do not move, and the displacement may be any of {names}: say which "
+        f'(displacement = NAME), or displacement = "none" if the body is at rest{reason}'
+    )
+
+
+def _judge_single_frame(evidence: Evidence, motions: dict[str, FieldMotion], where: str) -> DisplacementChoice:
+    """Return the choice for a series of one frame: nothing moves in it, so that only its format tells."""
+    candidates = [m for m in motions.values() if m.largest > 0 and m.vector.role != "vague"]
+    clear = _drop_copies([m for m in candidates if m.vector.role == "clear"])
+    if not candidates:
+        return DisplacementChoice(None, added=False, text="the points of the only frame")
+    if len(clear) == 1 and any(where.lower().endswith(suffix) for suffix in _MESH_FORMATS):
+        return _take(evidence, clear[0])
+    names = join_names(sorted(m.vector.name for m in candidates))
+    raise SeriesError(
+        f"{where}: one frame does not tell whether its points are at rest or contain the displacement ({names}): say "
+        f'displacement = "{candidates[0].vector.name}" if it must be added to them, displacement = "none" if they are '
+        "deformed, or name the file of the rest state (rest = FILE)"
+    )
+
+
+def _judge_moving_points(evidence: Evidence, motions: dict[str, FieldMotion], where: str) -> DisplacementChoice:
+    """Return the choice if the points move and no field is their motion; raises SeriesError if that is doubtful."""
+    tiny = evidence.moves <= _NOISE * evidence.size
+    for motion in motions.values():
+        name, role = shorten(motion.vector.name), motion.vector.role
+        if role == "clear" and motion.varies > evidence.rounding:
+            _check_clear_field(evidence, motion, where)
+        elif role == "short" and tiny and evidence.moves <= 1e-3 * motion.varies:
+            raise SeriesError(
+                f"{where}: the points move by {evidence.moves:.1g} m only, and {name} is up to {motion.varies:.3g}: "
+                f'say displacement = "{name}" if it must be added to the points, or "none" if the points are deformed'
+            )
+    return DisplacementChoice(None, added=False, text="deformed points")
+
+
+def _check_clear_field(evidence: Evidence, motion: FieldMotion, where: str) -> None:
+    """Raise SeriesError if a displacement is not the motion of the points, nor its increment since the last frame."""
+    name = shorten(motion.vector.name)
+    if motion.differs_from_steps <= max(2 * evidence.rounding, _MATCH * evidence.moves):
+        return  # the increment of each step
+    choices = (
+        f'displacement = "none" if the points are deformed, or displacement = "{name}" if it must be added to them'
+    )
+    scales = motion.scales
+    if len(scales) == motion.frames - 1 and scales and np.ptp(scales) <= _MATCH * abs(np.mean(scales)):
+        raise SeriesError(
+            f"{where}: the points move by {np.mean(scales):.4g} times the field {name}: they are warped for a picture, "
+            f"and their cells are not those of the body; {choices}"
+        )
+    raise SeriesError(
+        f"{where}: the points move, but not as the field {name} says (up to {motion.differs:.3g} m apart): {choices}"
+    )
+
+
+def check_sanity(size: float, moved: Floats, inverted: float, vector: VectorField, where: str) -> None:
+    """Raise SeriesError if adding a guessed displacement gives an absurd body: huge, or mostly inverted."""
+    finite = moved[np.isfinite(moved).all(axis=1)]
+    spread, name = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0, shorten(vector.name)
+    if spread > _ABSURD * size or inverted > _INVERTED:
+        fault = (
+            f"stretches the body to {spread / size:.3g} times its size" if spread > _ABSURD * size
+            else f"inverts {100 * inverted:.0f} % of the cells"
+        )  # fmt: skip
+        raise SeriesError(
+            f"{where}: adding the field {name} to the points {fault}, so that it may not be the displacement, or "
+            f'not in the unit of the points: say displacement = "{name}" if it is right, or "none"'
+        )

@@ -1,39 +1,45 @@
 """How the files of a series are read: which cells are measured, their rest state, and where the points are.
 
-Solvers write deformed points, or rest points and a displacement field; some write hexahedra along with tetrahedra,
-nodes without cells, or mirrored cells. A note reports each of these decisions.
+Every decision follows from the numbers of the files (displacement.py, rest_state.py, cell_selection.py, rest_mesh.py,
+arrangement.py), and a note reports it.
 """
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.arrays import Floats
-from pipeline.errors import MeshChangedError, MeshError, SeriesError, shorten
-from pipeline.formats.cell_types import CELL_TYPES
+from pipeline.errors import MeshChangedError, SeriesError, join_names, shorten
 from pipeline.formats.grid import Grid
 from pipeline.mesh.body_mesh import BodyMesh
-from pipeline.mesh.cleanup import orient_cells
-from pipeline.mesh.simplex import CELL_NAMES, Mesh
-from pipeline.series.arrangement import Arrangement, arrange_frame, keep_ids
-from pipeline.series.displacement import SAME, Displacement, choose_displacement, collect_evidence, find_largest
-from pipeline.series.rest_state import FIELD, choose_rest_points, read_rest_file
+from pipeline.mesh.cell_mesh import CellMesh
+from pipeline.run.frame import Values
+from pipeline.series.arrangement import (
+    Arrangement,
+    IdTable,
+    have_same_cells,
+    make_missing,
+    match_by_ids,
+    match_by_positions,
+)
+from pipeline.series.decisions import Decisions
+from pipeline.series.displacement import DisplacementChoice
+from pipeline.series.rest_mesh import PLANAR
+from pipeline.series.vector_fields import find_vector_fields
+from pipeline.series.whole_body import measure_whole_body
+
+__all__ = ["Arrangement", "Options", "SeriesLayout", "have_same_cells"]
 
 _LARGEST = 1e75  # [m]: volumes of larger bodies would overflow; larger coordinates count as not finite
-_PLANAR = 1e-6  # of the size: rounding to single precision leaves a few 1e-7 of it
 
 
 @dataclass(frozen=True)
 class Options:
-    """The caller's choices of the displacement field and the rest state.
+    """The caller's choices: the displacement field ("none" for deformed points) and the rest state.
 
-    `displacement` is a point field, scalar fields ("ux,uy,uz"), or "none" if the points are the motion.
-    `rest` is "first" (frame), "points" (of the first frame), "subtract" (these minus the displacement), a point field
-    such as "rest_position", or the path of a file. None means that the evidence decides: the field rest_position, the
-    points if they rest, points minus displacement if the first frame is displaced, else the first frame.
+    `displacement` is a point field, or two or three of them separated by commas. `rest` is "first", "rest_position",
+    "points" or the path of a file. None means that the numbers of the files decide.
     """
 
     displacement: str | None = None
@@ -44,138 +50,189 @@ class Options:
 class SeriesLayout:
     """How frames become positions on one mesh.
 
-    `arrangement` says where the first frame has the nodes and cells of the mesh; `motion` says which field is the
-    displacement, and whether it is added to the points.
+    `arrangement` says where the first frame has the nodes and cells of the mesh; `displacement` names the field that is
+    added to the points, `choice` has the whole decision.
     """
 
     mesh: BodyMesh
     arrangement: Arrangement
-    motion: Displacement
-    grid: Grid  # points and cells of the first frame, with the ids of both as its only fields
-    at_rest: Grid  # the same with rest positions
-    rest_field: str | None  # of the rest positions in every frame
+    choice: DisplacementChoice
+    grid: Grid  # points and cells of the first frame, without fields
+    ids: IdTable
     notes: tuple[str, ...]
+    decisions: Decisions
+    rounding: float = 0.0  # of the points [m]
+    own_points: bool = False  # every cell has its own points, so that their connectivity tells no order
+    trusted: bool = False  # recorded by this program: all frames have the same mesh
+    _last: list[tuple[Grid, Arrangement]] = field(default_factory=list, init=False, repr=False)
 
     @property
     def displacement(self) -> str | None:
-        """Return the label of the field that is added to the points."""
-        return self.motion.field.label if self.motion.field is not None and self.motion.is_added else None
+        """Return the name of the field that is added to the points, None if they are deformed."""
+        return self.choice.vector.name if self.choice.added and self.choice.vector is not None else None
+
+    @property
+    def plane(self) -> Floats | None:
+        """Return the rows (2, 3) of the plane of a planar body that is not one of constant z."""
+        return self.mesh.plane if isinstance(self.mesh, CellMesh) else None
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return the state without the last frame."""
+        return self.__dict__ | {"_last": []}
 
     def arrange(self, grid: Grid, where: str) -> Arrangement:
-        """Return where a frame has the nodes and cells of the mesh; raises MeshChangedError if it has others."""
-        arrangement = arrange_frame(grid, self.at_rest, self.arrangement, lambda: self._find_rest(grid))
-        if arrangement is not None:
-            return arrangement
-        raise MeshChangedError(
-            f"{where}: its cells are not those of the first frame ({len(grid.types)} cells, {grid.count} points; it "
-            f"has {len(self.grid.types)} and {self.grid.count}): the topology changes"
+        """Return where a frame has the nodes and cells of the mesh; raises MeshChangedError if it lacks them."""
+        arrangement = self.find_arrangement(grid)
+        if arrangement.fault:
+            raise MeshChangedError(f"{where}: {arrangement.fault}")
+        return arrangement
+
+    def find_arrangement(self, grid: Grid) -> Arrangement:
+        """Return the same as `arrange`, with a `fault` if a frame does not have the nodes and cells of the mesh."""
+        for known, arrangement in self._last:
+            if known is grid:
+                return arrangement
+        arrangement = self._find_arrangement(grid)
+        self._last[:] = [(grid, arrangement)]
+        return arrangement
+
+    def _find_arrangement(self, grid: Grid) -> Arrangement:
+        same = have_same_cells(grid, self.grid)
+        if same and self.trusted:
+            return self.arrangement
+        if same and self.ids.are_in_place(grid) and not (self.own_points and self._is_moved(grid)):
+            return self.arrangement
+        if (matched := match_by_ids(grid, self.ids)) is not None:
+            return matched
+        if (matched := self._match_at_rest(grid)) is not None:
+            return matched
+        if same and not self.ids.names:
+            return self.arrangement
+        nodes, cells = len(self.mesh.points), len(self.mesh.cell_array.types)
+        return make_missing(nodes, cells, self._describe_change(grid))
+
+    def _describe_change(self, grid: Grid) -> str:
+        return (
+            f"its cells are not those of the first frame ({len(grid.types)} cells, {grid.count} points; it has "
+            f"{len(self.grid.types)} and {self.grid.count}): the topology changes"
         )
 
-    def _find_rest(self, grid: Grid) -> Floats | None:
-        """Return the rest positions of a frame's points (n, 3), None if nothing says them."""
-        if self.rest_field is not None and self.rest_field in grid.point_data:
-            return np.asarray(grid.point_data[self.rest_field], dtype=np.float64)
-        if self.motion.field is None or not self.motion.field.is_in(grid):
+    def _match_at_rest(self, grid: Grid) -> Arrangement | None:
+        """Return where a frame has the mesh by rest positions, if it tells them."""
+        rest = self._find_rest_points(grid)
+        if rest is None:
             return None
-        return grid.points if self.motion.is_added else grid.points - self.motion.field.read(grid)
+        rest, mesh = rest[:, : self.mesh.points.shape[1]], self.mesh
+        tolerance = max(1e-7 * mesh.size, 4 * self.rounding)
+        return match_by_positions(mesh.points, mesh.cell_array, rest, grid.cells, tolerance)
 
-    def compute_positions(self, grid: Grid, where: str) -> Floats:
-        """Return the positions of a frame (n, d), NaN if they are not finite; raises SeriesError if they do not fit."""
-        arrangement = self.arrange(grid, where)
-        points = np.array(arrangement.select_nodes(grid.points))
-        field = self.motion.field
-        if field is not None and self.motion.is_added:
-            moved = arrangement.select_nodes(field.read(grid))
-            self._check_rest(points, moved, where)
-            points += moved
-        points[~(np.abs(points) < _LARGEST).all(axis=1)] = np.nan  # negated so that NaN counts too
-        return drop_z(points, where) if self.mesh.dimension == 2 else np.ascontiguousarray(points)
+    def _find_rest_points(self, grid: Grid) -> Floats | None:
+        """Return the rest positions (n, 3) that a frame itself tells, or None."""
+        if "rest_position" in grid.point_data and "rest_position" in self.grid.point_data:
+            return np.asarray(grid.point_data["rest_position"], dtype=np.float64)
+        if self.choice.added:
+            return grid.points
+        if self.choice.vector is not None and (u := self.choice.vector.read(grid)) is not None:
+            return grid.points - u
+        return None
 
-    def _check_rest(self, points: Floats, moved: Floats, where: str) -> None:
-        """Raise SeriesError if points to which the displacement is added move themselves."""
-        first = self.arrangement.select_nodes(self.grid.points)
-        if np.array_equal(points, first):
+    def _is_moved(self, grid: Grid) -> bool:
+        """Return whether the rest positions of a frame are told and are not in the places of the first frame's."""
+        rest = self._find_rest_points(grid)
+        if rest is None or len(rest) != self.grid.count:
+            return False
+        rest = self.arrangement.select_nodes(rest)[:, : self.mesh.points.shape[1]]
+        tolerance = max(1e-7 * self.mesh.size, 4 * self.rounding)
+        return not bool((np.abs(rest - self.mesh.points) <= tolerance).all())
+
+    def compute_positions(self, grid: Grid, where: str) -> tuple[Floats, str]:
+        """Return the positions of a frame (n, d), NaN for nodes that it does not have, and the fault if there are any.
+
+        Raises SeriesError if a guess turns out to be wrong.
+        """
+        arrangement = self.find_arrangement(grid)
+        if arrangement.fault:
+            return np.full(self.mesh.points.shape, np.nan), arrangement.fault
+        self._check_guess(grid, arrangement, where)
+        points, fault = self.deform(grid)
+        points = arrangement.select_nodes(points)
+        bad = np.asarray(~(np.abs(points) < _LARGEST).all(axis=1))  # negated so that NaN counts too
+        if bad.any() and not fault:
+            fault = f"{bad.sum()} points are not finite, first {self.find_point(int(np.argmax(bad)))}"
+        points = np.where(bad[:, None], np.nan, points) if bad.any() else points
+        if self.mesh.points.shape[1] == 2:
+            return self._drop_z(points, fault)
+        return self._check_plane(np.ascontiguousarray(points), fault)
+
+    def deform(self, grid: Grid) -> tuple[Floats, str]:
+        """Return the deformed points of a grid (n, 3), and a fault if it lacks the displacement."""
+        vector = self.choice.vector
+        if not self.choice.added or vector is None:
+            return grid.points, ""
+        u = vector.read(grid)
+        if u is not None:
+            return grid.points + u, ""
+        if self.choice.late and grid.point_data.keys() == self.grid.point_data.keys():
+            return grid.points, ""
+        fault = f"no point field {shorten(vector.name)}; it has {join_names(sorted(grid.point_data)) or 'none'}"
+        return np.full((grid.count, 3), np.nan), fault
+
+    def _check_guess(self, grid: Grid, arrangement: Arrangement, where: str) -> None:
+        """Raise SeriesError if a frame that was not looked at contradicts the guess about the displacement."""
+        choice = self.choice
+        if not choice.guessed:
             return
-        strayed, most = find_largest(points - first), find_largest(moved)
-        if strayed > SAME * max(most, float(np.ptp(first))):
-            name = self.motion.field.label if self.motion.field is not None else ""
+        if choice.vector is None:
+            new = [
+                n
+                for n, v in find_vector_fields(grid).items()
+                if v.role in ("clear", "short") and n not in self.grid.point_data
+            ]
+            if new:
+                raise SeriesError(
+                    f"{where}: the field {shorten(new[0])} was not in the frames looked at: say "
+                    f'displacement = "{new[0]}" or "none"'
+                )
+            return
+        X, points = self.grid.points, grid.points
+        if arrangement is self.arrangement and np.array_equal(points, X):
+            return
+        moved = np.abs(arrangement.select_nodes(points) - self.arrangement.select_nodes(X))
+        allowed = max(4 * self.rounding, PLANAR * self.mesh.size)
+        if np.where(np.isfinite(moved), moved, 0.0).max(initial=0.0) > allowed:
+            name = shorten(choice.vector.name) if choice.vector else ""
             raise SeriesError(
-                f"{where}: the points move by up to {strayed:.3g}, unlike those of the frames that were compared: say "
-                f'whether displacement = "{shorten(name)}" must be added to them, or "none"'
+                f"{where}: the points move, unlike those of the frames looked at before: say whether displacement = "
+                f'"{name}" must be added to them, or "none"'
             )
 
-    def read_points(self, grid: Grid) -> Floats:
-        """Return the deformed points (n, 3) of a file that may have other cells, in its order."""
-        field = self.motion.field
-        return grid.points if field is None or not self.motion.is_added else grid.points + field.read(grid)
+    def _drop_z(self, points: Floats, fault: str) -> tuple[Floats, str]:
+        """Return points (n, 2) in the plane of constant z; NaN with a fault if they leave it."""
+        z = points[:, 2][np.isfinite(points[:, 2])]
+        extent = (
+            float(np.nanmax(np.ptp(points[np.isfinite(points).all(axis=1)], axis=0), initial=0.0)) if len(z) else 0.0
+        )
+        if len(z) and np.ptp(z) > max(PLANAR * max(extent, self.mesh.size), 4 * self.rounding):
+            return np.full(self.mesh.points.shape, np.nan), f"the body leaves its plane by {np.ptp(z):.3g} m"
+        return np.ascontiguousarray(points[:, :2]), fault
+
+    def _check_plane(self, points: Floats, fault: str) -> tuple[Floats, str]:
+        """Return the points; NaN with a fault if they leave the plane of the mesh."""
+        if self.plane is None:
+            return points, fault
+        normal = np.cross(self.plane[0], self.plane[1])
+        height = points @ normal
+        height = height[np.isfinite(height)]
+        if len(height) and np.ptp(height) > max(10 * PLANAR * self.mesh.size, 4 * self.rounding):
+            return np.full(points.shape, np.nan), f"the body leaves its plane by {np.ptp(height):.3g} m"
+        return points, fault
+
+    def measure_whole(self, grid: Grid) -> Values:
+        """Return numbers of the whole body for a frame whose cells are not those of the mesh."""
+        points, fault = self.deform(grid)
+        return {} if fault else measure_whole_body(grid, points, self.mesh, self.plane)
 
     def find_point(self, node: int) -> int:
         """Return the number that a node of the mesh has in the files."""
         nodes = self.arrangement.nodes
         return int(node if nodes is None else nodes[node])
-
-
-def drop_z(points: Floats, where: str) -> Floats:
-    """Return points (n, 2) without the third coordinate; raises SeriesError unless it is constant."""
-    if np.ptp(points[:, 2]) > _PLANAR * float(np.ptp(points, axis=0).max()):
-        raise SeriesError(f"{where}: triangles that do not lie in a plane of constant z are a surface, not a body")
-    return np.ascontiguousarray(points[:, :2])
-
-
-def infer_layout(first: Grid, read: Callable[[int], Grid], count: int, options: Options, where: str) -> SeriesLayout:
-    """Return the layout of a series of `count` frames from the first one; raises SeriesError if it is ambiguous.
-
-    `read` is called for a few other frames, and for all of them if these show neither a motion nor a displacement.
-    """
-    dimension, chosen, cell_notes = _select_cells(first, where)
-    from_file = read_rest_file(options.rest, first, where)
-    if FIELD in first.point_data and options.displacement is None:
-        motion = Displacement(None, False, False)
-    else:
-        evidence = collect_evidence(first, read, count, from_file)
-        included = {"points": False, "subtract": True}.get(str(options.rest))
-        motion = choose_displacement(evidence, options.displacement, where, included=included)
-    cells = first.select_cells(CELL_TYPES[dimension])
-    rest, rest_notes = choose_rest_points(first, motion, options.rest, from_file, where)
-    all_rest = rest
-    used = np.zeros(len(rest), dtype=bool)
-    used[cells] = True
-    nodes = None if used.all() else np.flatnonzero(used)
-    if nodes is not None:
-        rest, cells = rest[nodes], (np.cumsum(used) - 1)[cells]
-        cell_notes += (f"{(~used).sum()} points that belong to no measured cell are left out, first {np.argmin(used)}",)
-    try:
-        points = drop_z(rest, f"{where}: rest state") if dimension == 2 else rest
-        cells, orientation_notes = orient_cells(points, cells)
-        mesh = Mesh(points, cells, name=where)
-    except MeshError as error:
-        raise SeriesError(f"rest state: {error}") from error
-    bare = keep_ids(first)
-    at_rest = replace(bare, stored_points=all_rest)
-    rest_field = FIELD if options.rest in (None, FIELD) and FIELD in first.point_data else None
-    arrangement = Arrangement(nodes, None if chosen.all() else np.flatnonzero(chosen))
-    notes = (*cell_notes, *motion.notes, *rest_notes, *orientation_notes)
-    return SeriesLayout(mesh, arrangement, motion, bare, at_rest, rest_field, notes)
-
-
-def _select_cells(grid: Grid, where: str) -> tuple[int, NDArray[np.bool_], tuple[str, ...]]:
-    """Return the dimension, the mask of its simplices among the cells, and a note that counts the other cells."""
-    kinds, counts = np.unique(grid.types, return_counts=True)
-    for d, kind in CELL_TYPES.items():
-        if kinds.tolist() == [kind]:
-            return d, np.ones(len(grid.types), dtype=bool), ()
-    import pyvista
-    from vtkmodules.vtkCommonDataModel import vtkGenericCell
-
-    cell, dimensions = vtkGenericCell(), dict[int, int]()
-    for kind in kinds.tolist():
-        cell.SetCellType(kind)
-        dimensions[kind] = cell.GetCellDimension()
-    d = max(dimensions.values())
-    names = {kind: f"{count} {pyvista.CellType(kind).name.lower()}"
-             for kind, count in zip(kinds.tolist(), counts.tolist(), strict=True)}  # fmt: skip
-    if CELL_TYPES.get(d) not in dimensions:
-        raise SeriesError(f"{where}: it has no tetrahedra and no triangles, but {', '.join(names.values())}")
-    others = [name for kind, name in names.items() if kind != CELL_TYPES[d]]
-    notes = (f"cells other than {CELL_NAMES[d]} cells are not measured: {', '.join(others)}",) if others else ()
-    return d, grid.types == CELL_TYPES[d], notes

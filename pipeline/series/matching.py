@@ -10,7 +10,7 @@ from pipeline.formats.grid import CellArray
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.cell_mesh import CellMesh
 from pipeline.mesh.simplex import Mesh
-from pipeline.series.arrangement import Arrangement, match_meshes
+from pipeline.series.arrangement import Arrangement, match_by_positions
 from pipeline.series.series import Series
 
 _APART = 1e-6  # of the body's size, as in arrangement.py
@@ -23,24 +23,25 @@ def match_cells(first: Series, other: Series) -> Series | None:
     itself is returned if its order is that of the first.
     """
     mine, theirs = first.mesh, other.mesh
-    if mine.dimension != theirs.dimension or mine.points.shape != theirs.points.shape:
+    if (
+        mine.dimension != theirs.dimension
+        or mine.points.shape != theirs.points.shape
+        or len(mine.cell_array.types) != len(theirs.cell_array.types)
+    ):
         return None
     if _are_equal(mine.cell_array, theirs.cell_array) and _lie_together(mine, theirs):
         return other
-    match = match_meshes(mine.cell_array, mine.points, theirs.cell_array, theirs.points, mine.size)
+    match = match_by_positions(mine.points, mine.cell_array, theirs.points, theirs.cell_array, _APART * mine.size)
     if match is None or match.nodes is None or match.cells is None:
         return None
-    if not np.array_equal(mine.cell_array.types, theirs.cell_array.types[match.cells]):
-        return None
     layout = other.layout
-    arrangement = Arrangement(
-        _select(layout.arrangement.nodes, match.nodes), _select(layout.arrangement.cells, match.cells)
-    )
+    base = Arrangement(_select(layout.arrangement.nodes, match.nodes), _select(layout.arrangement.cells, match.cells))
     try:
         mesh = _renumber(mine, theirs, match.nodes)
     except MeshError:  # the corners of a cell are in another order, and one of the two is inverted
         return None
-    return replace(other, layout=replace(layout, mesh=mesh, arrangement=arrangement))
+    ids = layout.ids.rearrange(match.nodes, match.cells, base, mesh.cell_array)
+    return replace(other, layout=replace(layout, mesh=mesh, arrangement=base, ids=ids))
 
 
 def _are_equal(a: CellArray, b: CellArray) -> bool:

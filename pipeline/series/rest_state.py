@@ -1,72 +1,77 @@
-"""The rest state of a series: a field or a file of rest positions, points minus displacement, or the first frame."""
+"""The rest state of a series: a file, the field rest_position, x - u of a deformed first frame, or its points."""
 
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from pipeline.arrays import Floats
-from pipeline.errors import SeriesError, join_names, shorten
+from pipeline.errors import SeriesError, join_names
 from pipeline.formats.grid import Grid
 from pipeline.formats.readers import SUFFIXES
-from pipeline.series.displacement import Displacement
+from pipeline.series.arrangement import IdTable, have_same_cells, match_by_ids
+from pipeline.series.displacement import DisplacementChoice
 from pipeline.series.frame_files import read_grid
 
-FIELD = "rest_position"
-_WORDS = ("first", "points", "subtract")
+_NAMED = ("first", "points", "rest_position")
 
 
-def read_rest_file(rest: str | os.PathLike[str] | None, first: Grid, where: str) -> Floats | None:
-    """Return the points (n, 3) of the rest state if the caller names a file, else None.
+class RestPositions(NamedTuple):
+    """The rest positions (n, 3) of the first frame's points, notes, and a text for the two lines of an answer."""
 
-    Raises SeriesError if it is neither a file nor a word, or if the cells of the file differ from the first frame's.
+    points: Floats
+    notes: tuple[str, ...]
+    text: str
+
+
+def read_reference(
+    rest: str | os.PathLike[str] | None, first: Grid, ids: IdTable, where: str
+) -> tuple[Floats | None, str]:
+    """Return the rest positions that a file or the field rest_position gives, and their source; None if neither does.
+
+    The points of the file are the rest state, in the order of the first frame's points. Raises SeriesError.
     """
-    if rest is None or str(rest) in (*_WORDS, FIELD) or str(rest) in first.point_data:
-        return None
+    if rest == "rest_position" or (rest is None and "rest_position" in first.point_data):
+        if "rest_position" not in first.point_data:
+            fields = join_names(sorted(first.point_data)) or "none"
+            raise SeriesError(f"{where}: no point field rest_position; it has {fields}")
+        values = np.asarray(first.point_data["rest_position"], dtype=np.float64)
+        if values.ndim != 2 or values.shape[1] not in (2, 3):
+            raise SeriesError(f"{where}: the point field rest_position {values.shape} is not a vector field")
+        return np.pad(values, [(0, 0), (0, 3 - values.shape[1])]), "the field rest_position"
+    if rest is None or rest in ("first", "points"):
+        return None, ""
     file = Path(rest)
-    if file.suffix.lower() not in SUFFIXES:
-        raise SeriesError(
-            f"rest state {file}: must be a file ({', '.join(SUFFIXES)}), a point field, or one of "
-            f"{', '.join((*_WORDS, FIELD))}"
-        )
+    if file.suffix not in SUFFIXES:
+        raise SeriesError(f"rest state {file}: must be a file ({', '.join(SUFFIXES)}), {', '.join(_NAMED)}")
     grid = read_grid(file)
-    if grid.count != first.count or not np.array_equal(grid.connectivity, first.connectivity):
+    if have_same_cells(grid, first) and ids.are_in_place(grid):
+        return grid.points, f"the points of {file.name}"
+    arrangement = match_by_ids(grid, ids)
+    if arrangement is None:
         raise SeriesError(f"{where}: its cells are not those of the rest state {file}")
-    return grid.points
+    return arrangement.select_nodes(grid.points), f"the points of {file.name}, matched by {ids.names}"
 
 
-def choose_rest_points(
-    first: Grid, displacement: Displacement, rest: str | os.PathLike[str] | None, from_file: Floats | None, where: str
-) -> tuple[Floats, tuple[str, ...]]:
-    """Return the points of the rest state (n, 3), and a note about the choice; raises SeriesError."""
-    field = displacement.field
-    moved = field.read(first) if field is not None else np.zeros((first.count, 3))
-    if from_file is not None:
-        return from_file, (f"the rest state is {Path(str(rest)).name}",)
-    if rest is None and FIELD in first.point_data:
-        return _read_field(first, FIELD, where), ()
-    if rest is None and displacement.is_added:
-        return first.points, ()
-    if rest == "subtract":
-        if field is None:
-            raise SeriesError(f'{where}: rest = "subtract" needs a displacement field (displacement = NAME)')
-        return first.points - moved, (f"the rest state is the first frame minus {field.label}",)
-    if rest is None and field is not None and np.abs(moved).max() > 0:
-        note = f"the first frame is displaced already: the rest state is its points minus {field.label}"
-        return first.points - moved, (note,)
-    if rest in (None, "first"):
-        points = first.points + moved if displacement.is_added else first.points
-        return points, ("the rest state is the first frame",) if rest is None else ()
-    if rest == "points":
-        return first.points, ()
-    return _read_field(first, str(rest), where), ()
-
-
-def _read_field(first: Grid, name: str, where: str) -> Floats:
-    if name not in first.point_data:
-        known = join_names(sorted(first.point_data)) or "none"
-        raise SeriesError(f"{where}: no point field {shorten(name)}; it has {known}")
-    values = np.asarray(first.point_data[name], dtype=np.float64)
-    if values.ndim != 2 or values.shape[1] not in (2, 3):
-        raise SeriesError(f"{where}: the point field {shorten(name)} {values.shape} cannot be rest positions")
-    return np.pad(values, [(0, 0), (0, 3 - values.shape[1])])
+def find_rest_state(
+    first: Grid, rest: str | os.PathLike[str] | None, reference: Floats | None, source: str, choice: DisplacementChoice
+) -> RestPositions:
+    """Return the rest state, given the reference that was read and the choice of the displacement."""
+    if reference is not None:
+        notes = () if source == "the field rest_position" else (f"the rest state is {source}",)
+        return RestPositions(reference, notes, source)
+    u = None if choice.vector is None else choice.vector.read(first)
+    if choice.added:
+        if rest == "first":
+            moved = first.points if u is None else first.points + u
+            return RestPositions(moved, (), "the first frame, deformed by its displacement")
+        return RestPositions(first.points, (), "the points, without the displacement")
+    if rest is None and u is not None and np.abs(u).max(initial=0.0) > 0:
+        name = choice.vector.name if choice.vector is not None else ""
+        if not np.isfinite(u).all():
+            return RestPositions(first.points, ("the rest state is the first frame",), "the first frame")
+        return RestPositions(first.points - u, (f"the rest state is the points of the first frame minus {name}",),
+                         f"points of the first frame minus {name}")  # fmt: skip
+    notes = () if rest else ("the rest state is the first frame",)
+    return RestPositions(first.points, notes, "the points of the first frame")

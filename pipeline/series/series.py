@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.arrays import Floats
-from pipeline.errors import MeshChangedError
 from pipeline.formats.grid import Grid
 from pipeline.mesh.body_mesh import BodyMesh
-from pipeline.run.frame import Frame, Values
+from pipeline.run.frame import Frame
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
-from pipeline.series.changed_body import measure_changed_body
+from pipeline.series.decisions import Decisions
 from pipeline.series.frame_files import read_grid
+from pipeline.series.inference import infer_layout
 from pipeline.series.instants import Member
-from pipeline.series.layout import Options, SeriesLayout, infer_layout
+from pipeline.series.layout import Options, SeriesLayout
 from pipeline.series.listing import FrameListing, list_frames
 
 _LENGTHS = {(): 1, ("axis",): len(AXES), ("quantile",): len(QUANTILES)}
@@ -73,6 +73,13 @@ class Series:
         """Return notes on frames left out, cells not measured, and guesses about the files."""
         return *self.listing_notes, *self.layout.notes
 
+    def describe_decisions(self) -> Decisions:
+        """Return the decisions about points, displacement, rest state, cells and times as short texts."""
+        if not len(self):
+            return self.layout.decisions
+        times = f"{len(self)} frames from {self.times[0]:g} to {self.times[-1]:g} s"
+        return replace(self.layout.decisions, times=times)
+
     def select_frames(self, indices: Sequence[int]) -> "Series":
         """Return the series of some of its frames, by their indices in increasing order."""
         return replace(self, members=tuple(self.members[i] for i in indices))
@@ -84,24 +91,13 @@ class Series:
     def read_frame(self, index: int, grid: Grid | None = None) -> Frame:
         """Return one frame, read from its file now; raises SeriesError if the file does not fit the series.
 
-        If its cells are not those of the mesh, its positions are NaN, and it has the volume of the whole body.
+        If its cells are not those of the mesh, its positions are NaN, and it has numbers of the whole body.
         """
         grid = self.read_grid(index) if grid is None else grid
-        try:
-            x = self.read_positions(index, grid)
-        except MeshChangedError as error:
-            return self._make_changed_frame(index, grid, str(error))
-        missing = np.flatnonzero(np.isnan(x).any(axis=1))
-        fault = (
-            f"{missing.size} points are not finite, first {self.layout.find_point(missing[0])}" if missing.size else ""
-        )
-        known = self._read_numbers(grid)
-        step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
-        time, v = self.members[index].time, self._read_velocity(grid)
-        return Frame(index, time, self.mesh, x, step=step, v=v, known=known, fault=fault)
-
-    def _read_numbers(self, grid: Grid) -> Values:
-        """Return the numbers of a frame that only its solver knows, by our names."""
+        member = self.members[index]
+        where = f"{member.file}, t = {member.time:g} s"
+        x, fault = self.layout.compute_positions(grid, where)
+        changed = bool(self.layout.find_arrangement(grid).fault)
         stepwise = [name for name in STEPS if name in grid.field_data] if self.ours else []
         known = {name: np.asarray(grid.field_data[name], dtype=np.float64).ravel() for name in stepwise}
         for name in grid.field_data.keys() & VARIABLES.keys():
@@ -110,22 +106,20 @@ class Series:
             # in another program's files, a field of that name may be something else
             if value.size == _LENGTHS.get(dims):
                 known[name] = value.reshape([-1] if dims else [])
-        return known
-
-    def _make_changed_frame(self, index: int, grid: Grid, reason: str) -> Frame:
-        """Return a frame whose cells are not those of the mesh."""
-        member, layout = self.members[index], self.layout
-        volume = measure_changed_body(grid, layout.read_points(grid), self.mesh.dimension)
-        drift = volume / self.mesh.rest_volumes.sum() - 1
-        whole = {"total_volume": np.asarray(volume), "volume_drift": np.asarray(drift)}
-        x = np.full(self.mesh.points.shape, np.nan)
-        return Frame(index, member.time, self.mesh, x, whole=whole, fault=reason)
+        step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
+        return Frame(
+            index, member.time, self.mesh, x, step=step, v=None if changed else self._read_velocity(grid), known=known,
+            whole=self.layout.measure_whole(grid) if changed else {}, fault=fault,
+        )  # fmt: skip
 
     def read_positions(self, index: int, grid: Grid | None = None) -> Floats:
-        """Return the positions (n, d) of one frame, read from its file now; raises SeriesError as `read_frame` does."""
+        """Return the positions (n, d) of one frame, read from its file now; raises SeriesError as `read_frame` does.
+
+        Nodes that the frame does not have are NaN.
+        """
         member = self.members[index]
         where = f"{member.file}, t = {member.time:g} s"
-        return self.layout.compute_positions(self.read_grid(index) if grid is None else grid, where)
+        return self.layout.compute_positions(self.read_grid(index) if grid is None else grid, where)[0]
 
     def _read_velocity(self, grid: Grid) -> Floats | None:
         v, d = grid.point_data.get("velocity"), self.mesh.points.shape[1]
@@ -165,7 +159,7 @@ def make_series(listing: FrameListing, options: Options = Options()) -> tuple[Se
     def read(index: int) -> Grid:
         return _read_member(members[index], ours=ours)
 
-    layout = infer_layout(first, read, len(members), options, str(members[0].file))
+    layout = infer_layout(first, read, len(members), options, str(members[0].file), ours=ours)
     return Series(listing.name, listing.folder, members, layout, (*listing.notes, *first.notes), ours), first
 
 

@@ -1,126 +1,152 @@
-"""Point fields that may be a displacement: vectors, and scalars that together are the components of one."""
+"""The point fields of a grid that may be a displacement: vectors, the first components of wider ones, three scalars.
+
+A name alone decides nothing, but it says which fields may be asked about: `clear` names speak of a displacement in
+one of the languages of solvers, `short` ones (u, U, D, …) are a displacement in one program and a velocity in another.
+"""
 
 import re
-from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from pipeline.arrays import Floats
-from pipeline.errors import SeriesError, join_names, shorten
-from pipeline.formats.grid import Grid
+from pipeline.formats.grid import Grid, describe_arrays
 
-# parts of names that say "displacement", in lower case, and whole names that say it
-_CLEAR_PARTS, _CLEAR_NAMES = ("displ", "depl", "verschieb"), ("disp", "deformation")
-# names of displacements that other programs give to velocities
-_SHORT_NAMES = ("u", "uh", "u_h", "d", "dh", "d_h")
-# parts of the names of other vectors; those of stresses end with letters of axes, like components
-_OTHERS = (
-    "veloc", "acceler", "force", "normal", "reaction", "load", "momentum", "traction", "rest_", "stress", "strain",
-    "sigma", "epsilon", "grad", "flux", "rotation", "angular", "old", "prev", "incr", "delta", "rate", "error",
-    "residual",
+Role = Literal["clear", "short", "vague", "other"]
+
+_WIDTHS = (2, 3, 4, 6)  # plane, space, homogeneous, and shells: three translations, then three rotations
+_CLEAR = ("displ", "depla", "depl", "deform", "verschieb", "desplaz", "deslocament", "spostament", "verplaats")
+_SHORT = re.compile(r"(u|d)(|h|_h|n|_n|_new|vec|_vec|sol|_sol|_?\d+)|uvw|u_?h?_?(vector|solid)|f_?\d*|w|x_disp")
+# numbers derived from a displacement, or of another one than the body's
+_DERIVED = (
+    "rate", "incr", "delta", "magn", "grad", "error", "resid", "prescr", "impos", "target", "test", "veloc", "accel",
+    "old", "prev", "dot", "virtual", "dual", "adjoint", "constr", "rotation", "slip", "jump", "mean", "averag",
 )  # fmt: skip
-_COMPONENT = re.compile(r"^(.+?)[ _.:\-\[(]*(?:comp(?:onent)?[_ ]*)?([xyz0-3])[\])]?$", re.IGNORECASE)
-_AXES = (("x", "y", "z"), ("0", "1", "2"), ("1", "2", "3"))
+# vector fields that are no displacements
+_OTHERS = (
+    "veloc", "accel", "force", "normal", "reaction", "load", "moment", "traction", "rest_", "flux", "flow", "stress",
+    "strain", "grad", "fiber", "fibre", "orient", "direction", "axis", "color", "colour", "texture", "coord", "posit",
+    "magnet", "electric", "current", "vorticity", "curl", "resid", "rotation", "angle", "spin", "tangent", "contact",
+    "torque", "eigen", "heat", "rgb", "body_f", "gravity", "weight", "pressure", "energy", "sigma", "ids",
+)  # fmt: skip
+_OTHER_SHORT = {"v", "a", "f_ext", "fext", "fint", "rf", "n", "nu", "t", "p", "vel", "acc", "du", "vx", "q", "b", "e"}
+_FLOW = re.compile(
+    r"p|p_rgh|pressure|pressione|druck|nut|nutilda|k|omega|epsilon|rho|phi|alpha\..*|wallshearstress|mach"
+)
+_AXES = (("x", "y", "z"), ("1", "2", "3"), ("0", "1", "2"))
 
 
-class VectorField(NamedTuple):
-    """A vector at points: one point field, or the scalar fields of its components."""
+@dataclass(frozen=True)
+class VectorField:
+    """A vector of the points: `columns` are the array and component that hold each of its two or three components."""
 
-    names: tuple[str, ...]
-    stem: str  # the name, without that of the axis
-
-    @property
-    def label(self) -> str:
-        """Return the name for messages, which the option `displacement` accepts too."""
-        return ",".join(self.names)
-
-    @property
-    def _bare_name(self) -> str:
-        """Return the stem in lower case; readers of Exodus join disp_x, disp_y and disp_z to the vector disp_."""
-        return self.stem.lower().rstrip("_.:- ")
-
-    @property
-    def is_clear(self) -> bool:
-        """Return whether the name can only mean a displacement."""
-        name = self._bare_name
-        return not self.is_other and (name in _CLEAR_NAMES or any(part in name for part in _CLEAR_PARTS))
-
-    @property
-    def is_short(self) -> bool:
-        """Return whether the name is one that some programs give to displacements and others to velocities."""
-        return self._bare_name in _SHORT_NAMES
-
-    @property
-    def is_other(self) -> bool:
-        """Return whether the name says that the vector is not a displacement."""
-        name = self.stem.lower()
-        return any(part in name for part in _OTHERS)
+    name: str
+    columns: tuple[tuple[str, int], ...]
+    role: Role
 
     def is_in(self, grid: Grid) -> bool:
         """Return whether a grid has the field."""
-        return all(name in grid.point_data for name in self.names)
+        return all(source in grid.point_data for source, _ in self.columns)
 
-    def read(self, grid: Grid) -> Floats:
-        """Return the vectors (n, 3) at the points of a grid; zero if the grid does not have the field."""
-        out = np.zeros((grid.count, 3))
-        if not self.is_in(grid):
-            return out
-        if len(self.names) > 1:
-            for axis, name in enumerate(self.names):
-                out[:, axis] = np.asarray(grid.point_data[name], dtype=np.float64).reshape(-1)
-            return out
-        values = np.asarray(grid.point_data[self.names[0]], dtype=np.float64)
-        columns = min(values.shape[1], 3)  # six components: translations, then rotations
-        out[:, :columns] = values[:, :columns]
-        return out
+    def read(self, grid: Grid) -> Floats | None:
+        """Return the vectors (n, 3) of a grid, or None if it lacks a component."""
+        vectors, loaded = np.zeros((grid.count, 3)), dict[str, np.ndarray]()
+        for i, (source, component) in enumerate(self.columns):
+            if source not in grid.point_data:
+                return None
+            if source not in loaded:
+                loaded[source] = np.asarray(grid.point_data[source], dtype=np.float64).reshape(grid.count, -1)
+            if component >= loaded[source].shape[1]:
+                return None
+            vectors[:, i] = loaded[source][:, component]
+        return vectors
 
 
-def list_vector_fields(grids: Iterable[Grid]) -> dict[str, VectorField]:
-    """Return the vectors that may be a displacement in any of the grids, by their labels."""
-    fields: dict[str, VectorField] = {}
-    for grid in grids:
-        for field in _iterate_vector_fields(grid):
-            fields.setdefault(field.label, field)
+def find_vector_fields(grid: Grid) -> dict[str, VectorField]:
+    """Return the fields by name that may be vectors of the points, whatever they mean."""
+    shapes = {
+        name: shape
+        for name, (dtype, shape) in describe_arrays(grid.point_data).items()
+        if dtype.kind in "fiu" and shape and shape[0] == grid.count
+    }
+    fields = dict[str, VectorField]()
+    for name, shape in shapes.items():
+        width = int(np.prod(shape[1:], dtype=np.int64))
+        if len(shape) == 2 and width in _WIDTHS and not (width in (4, 6) and find_role(name) in ("other", "vague")):
+            columns = tuple((name, i) for i in range(min(width, 3)))
+            fields[name] = VectorField(name, columns, find_role(name))
+    scalars = [name for name, shape in shapes.items() if len(shape) == 1 or shape[1:] == (1,)]
+    for field in _join_scalars(scalars):
+        fields.setdefault(field.name, field)
     return fields
 
 
-def find_vector_field(label: str, grids: Iterable[Grid], where: str) -> VectorField:
-    """Return the field that a caller names: "u", or "ux,uy,uz"; raises SeriesError if no grid has it."""
-    grids = list(grids)
-    names = tuple(name.strip() for name in label.split(",")) if "," in label else (label,)
-    if not any(all(name in grid.point_data for name in names) for grid in grids):
-        known = sorted({name for grid in grids for name in grid.point_data})
-        raise SeriesError(f"{where}: no point field {shorten(label)}; it has {join_names(known) or 'none'}")
-    for grid in grids:
-        shapes = [np.shape(grid.point_data[name]) for name in names if name in grid.point_data]
-        for name, shape in zip(names, shapes, strict=False):
-            if len(names) == 1 and (len(shape) != 2 or shape[1] not in (2, 3, 4, 6)):
-                raise SeriesError(f"{where}: the point field {shorten(name)} {shape} is not a vector field")
-            if len(names) > 1 and int(np.prod(shape)) != grid.count:
-                raise SeriesError(f"{where}: the point field {shorten(name)} {shape} is not a component of a vector")
-    if len(names) > 3:
-        raise SeriesError(f"{where}: displacement = {shorten(label)} names {len(names)} components, not 2 or 3")
-    return VectorField(names, names[0])
+def select_named_field(grid: Grid, text: str) -> VectorField | None:
+    """Return the field that a user named: an array, or two or three arrays separated by commas; None if there is none.
+
+    The array may have any number of components from two on; the first three count.
+    """
+    shapes = {name: shape for name, (_, shape) in describe_arrays(grid.point_data).items()}
+    if text in shapes:
+        shape = shapes[text]
+        if len(shape) < 2 or shape[1] < 2:
+            return None
+        return VectorField(text, tuple((text, i) for i in range(min(shape[1], 3))), "clear")
+    if (known := find_vector_fields(grid).get(text)) is not None:
+        return VectorField(known.name, known.columns, "clear")
+    names = [name.strip() for name in text.split(",")]
+    if len(names) in (2, 3) and all(name in shapes and int(np.prod(shapes[name][1:])) == 1 for name in names):
+        return VectorField(text, tuple((name, 0) for name in names), "clear")
+    return None
 
 
-def _iterate_vector_fields(grid: Grid) -> Iterator[VectorField]:
-    stems: dict[str, dict[str, str]] = {}
-    for name in grid.point_data:
-        try:
-            values = grid.point_data[name]
-        except SeriesError:  # a damaged field leaves the others readable
-            continue
-        if values.dtype.kind not in "fiu":
-            continue
-        field = VectorField((name,), name)
-        if values.ndim == 2 and (values.shape[1] in (2, 3) or (values.shape[1] in (4, 6) and field.is_clear)):
-            yield field
-        elif values.size == grid.count and (match := _COMPONENT.match(name)):
-            stems.setdefault(match[1], {})[match[2].lower()] = name
-    for stem, components in stems.items():
-        names = next((tuple(components[a] for a in axes if a in components) for axes in _AXES
-                      if set(components) in (set(axes), set(axes[:2]))), None)  # fmt: skip
-        field = VectorField(names or (), stem)
-        if names and (field.is_clear or field.is_short):
-            yield field
+def find_role(name: str) -> Role:
+    """Return how a name speaks of a displacement."""
+    lower = name.lower()
+    words = set(re.split(r"[^a-z]+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()))
+    if any(word in lower for word in _CLEAR) or "disp" in words or re.fullmatch(r"(u_)?disp(_?\w)?", lower):
+        derived = any(word in lower for word in _DERIVED) or bool(words & {"real", "imag", "phase", "mode"})
+        return "other" if derived or "gradient" in lower else "clear"
+    if any(word in lower for word in _OTHERS) or lower in _OTHER_SHORT:
+        return "other"
+    return "short" if _SHORT.fullmatch(lower) else "vague"
+
+
+def find_flow_fields(names: Iterable[str]) -> list[str]:
+    """Return the names that belong to a flow: beside them, U is a velocity."""
+    return [name for name in names if _FLOW.fullmatch(name.lower())]
+
+
+def _join_scalars(names: Sequence[str]) -> list[VectorField]:
+    """Return vectors whose components are scalars of their own: disp_x, disp_y, disp_z; u1, u2, u3; U:0, U:1, U:2."""
+    groups = dict[tuple[str, str, int], dict[str, str]]()
+    for name in names:
+        for pattern in (
+            r"(?P<stem>.*?)(?P<sep>[ _:.\-\[(]*)(?P<axis>[xyz0-3])(?P<end>[\])]?)",
+            r"(?P<sep>)(?P<axis>[xyz])[_\-. ]?(?P<stem>.+)(?P<end>)",
+        ):
+            match = re.fullmatch(pattern, name, flags=re.IGNORECASE)
+            if match and match["stem"]:
+                key = (match["stem"].lower(), match["sep"] + match["end"], len(pattern))
+                groups.setdefault(key, {})[match["axis"].lower()] = name
+    vectors = list[VectorField]()
+    for (stem, _, _), members in groups.items():
+        for axes in _AXES:
+            chosen = [members[axis] for axis in axes if axis in members]
+            if len(chosen) == len(axes) or (
+                len(chosen) == 2 and axes[2] not in members and axes[0] in members and axes[1] in members
+            ):
+                role = find_role(stem)
+                if role in ("clear", "short"):
+                    text = ",".join(chosen)
+                    vectors.append(VectorField(text, tuple((name, 0) for name in chosen), role))
+                break
+    names_uvw = {name.lower(): name for name in names}
+    for triple in (("ux", "uy", "uz"), ("u", "v", "w")):
+        if all(axis in names_uvw for axis in triple):
+            text = ",".join(names_uvw[axis] for axis in triple)
+            if all(text != vector.name for vector in vectors):
+                vectors.append(VectorField(text, tuple((names_uvw[axis], 0) for axis in triple), "short"))
+    return vectors

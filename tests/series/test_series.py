@@ -280,18 +280,22 @@ def test_sources_of_the_rest_state(tmp_path):
         read_series(path, rest="nonsense")
 
 
-def test_among_mixed_cells_simplices_are_measured_and_others_counted(tmp_path):
+def test_cells_of_lower_dimension_are_counted_and_all_others_measured(tmp_path):
     hexahedron = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1.0]])
-    cells = [("hexahedron", [range(len(POINTS), len(POINTS) + 8)]), ("tetra", CELLS), ("triangle", [[0, 1, 2]])]
+    n = len(POINTS)
+    cells = [("hexahedron", [range(n, n + 8)]), ("tetra", CELLS), ("triangle", [[0, 1, 2]]), ("line", [[0, 1], [1, 2]])]
     for i, t in enumerate(TIMES):
-        meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(np.vstack([move_points(t), hexahedron + 9]), cells))
+        points = np.vstack([move_points(t), 9 + hexahedron * (1 + t), [[50, 50, 50]]])
+        meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(points, cells))
     series = read_series(write_pvd(tmp_path, [(t, f"f{i}.vtu") for i, t in enumerate(TIMES)]))
-    assert_grows(series)
-    assert any("1 triangle, 1 hexahedron" in note for note in series.notes)
-    assert any("8 points that belong to no measured cell" in note for note in series.notes)
+    ratio = measure(series.read_frame(2))["volume_ratio"]
+    assert ratio[0] == pytest.approx(1.25**3) and ratio[1:] == pytest.approx((1 + GROWTH * 0.25) ** 3)
+    assert any("no volume): 2 line, 1 triangle" in note for note in series.notes), series.notes
+    assert any("1 points that belong to no measured cell" in note for note in series.notes)
+    assert f"{len(CELLS)} tetrahedron, 1 hexahedron in 3D" == series.describe_decisions().cells
     for i, t in enumerate(TIMES):
-        meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(hexahedron * (1 + t), [("hexahedron", [range(8)])]))
-    with pytest.raises(SeriesError, match="no tetrahedra and no triangles, but 1 hexahedron"):
+        meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(hexahedron * (1 + t), [("line", [[0, 1], [1, 2]])]))
+    with pytest.raises(SeriesError, match="no cells with a volume or an area, but 2 line"):
         read_series(tmp_path / "their.pvd")
 
 
@@ -342,21 +346,21 @@ def test_times_are_sorted_and_those_before_a_restart_left_out(tmp_path):
     assert "as after a restart: 2 frames that it replaced were left out" in series.notes[0]
 
 
-def test_a_frame_with_other_cells_has_only_the_volume_of_the_whole(tmp_path):
+def test_a_changed_mesh_has_numbers_of_the_whole_body(tmp_path):
     path = write_series(tmp_path)
-    pyvista.UnstructuredGrid({10: CELLS[:-1]}, move_points(0.1)).save(tmp_path / "f1.vtu")
+    fewer = pyvista.UnstructuredGrid({10: CELLS[:-1]}, move_points(0.1))
+    fewer.save(tmp_path / "f1.vtu")
     series = read_series(path)
-    frames = list(series)
-    assert "topology changes" in frames[1].fault and frames[1].x.shape == series.mesh.points.shape
-    measured = [measure(frame) for frame in frames]
-    assert np.isnan(measured[1]["volume_ratio"]).all() and np.isnan(measured[1]["volume_ratio_mean"])
-    assert not np.isnan(measured[2]["volume_ratio"]).any()
-    remaining = series.mesh.rest_volumes[:-1].sum() * (1 + GROWTH * TIMES[1]) ** 3
-    assert measured[1]["total_volume"] == pytest.approx(remaining, rel=1e-12)
-    assert measured[1]["volume_drift"] == pytest.approx(remaining / series.mesh.rest_volumes.sum() - 1, rel=1e-12)
+    before, changed, after = series
+    assert "topology changes" in changed.fault and not before.fault and not after.fault
+    assert np.isnan(measure(changed)["volume_ratio"]).all() and changed.v is None
+    assert measure(changed)["total_volume"] == pytest.approx(fewer.volume)
+    assert measure(changed)["volume_drift"] == pytest.approx(fewer.volume / series.mesh.rest_volumes.sum() - 1)
+    center = np.average(fewer.cell_centers().points, axis=0, weights=np.abs(fewer.compute_cell_sizes()["Volume"]))
+    assert measure(changed)["center_of_mass"] == pytest.approx(center)
 
 
-def test_flat_cells_are_an_error(tmp_path):
+def test_flat_cells_at_rest_are_an_error(tmp_path):
     path = write_series(tmp_path)
     flat = POINTS.copy()
     flat[:, 2] = 0
@@ -365,10 +369,14 @@ def test_flat_cells_are_an_error(tmp_path):
         read_series(path)
 
 
-def test_a_surface_is_an_error(tmp_path):
-    pyvista.Sphere(theta_resolution=8, phi_resolution=8).cast_to_unstructured_grid().save(tmp_path / "f0.vtu")
-    with pytest.raises(SeriesError, match="are a surface"):
-        read_series(tmp_path)
+def test_a_surface_is_measured_by_areas(tmp_path):
+    sphere = pyvista.Sphere(theta_resolution=8, phi_resolution=8).cast_to_unstructured_grid()
+    for i in range(2):
+        sphere.points = sphere.points * (1 + 0.1 * i)
+        sphere.save(tmp_path / f"f{i}.vtu")
+    series = read_series(tmp_path)
+    assert any("surface in space" in note for note in series.notes)
+    assert measure(series.read_frame(1))["volume_ratio"] == pytest.approx(1.21, rel=1e-5)
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"files": [{"name": "a.vtu"}]}'])

@@ -1,0 +1,156 @@
+"""The layout of a series, inferred from the numbers of some of its frames.
+
+A few frames are enough: the first ones, the last, and some between; of a short series all. Frames that are read later
+are checked against the decisions.
+"""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from pipeline.arrays import Floats
+from pipeline.formats.grid import Grid
+from pipeline.mesh.cell_mesh import measure_volumes
+from pipeline.series.arrangement import (
+    Arrangement,
+    IdTable,
+    find_ids,
+    have_same_cells,
+    match_by_ids,
+    match_by_positions,
+)
+from pipeline.series.cell_selection import choose_cells
+from pipeline.series.decisions import Decisions
+from pipeline.series.displacement import (
+    DisplacementChoice,
+    Evidence,
+    Sample,
+    check_sanity,
+    choose_displacement,
+    choose_sample,
+    is_single,
+    weigh_evidence,
+)
+from pipeline.series.layout import Options, SeriesLayout
+from pipeline.series.rest_mesh import RestMesh, build_rest_mesh, find_normal
+from pipeline.series.rest_state import RestPositions, find_rest_state, read_reference
+
+_PRECISE = 1e-4  # of a cell's size: coarser coordinates deserve a note
+
+
+def infer_layout(
+    first: Grid, read: Callable[[int], Grid], count: int, options: Options, where: str, *, ours: bool = False
+) -> SeriesLayout:
+    """Return the layout of a series of `count` frames from the first one; raises SeriesError if it is ambiguous.
+
+    `read` may be called for other frames. Frames of our own are taken at their word.
+    """
+    cells = choose_cells(first, where)
+    ids = find_ids(first, Arrangement(), first.cells, use=not ours)
+    reference, source = read_reference(options.rest, first, ids, where)
+    own = ours and reference is not None and source == "the field rest_position" and options.displacement is None
+    sample = [(0, first)] if own else list(_collect_sample(first, read, count, ids))
+    evidence = weigh_evidence(sample, reference, count)
+    if own:
+        choice = DisplacementChoice(None, added=False, text="deformed points")
+    else:
+        choice = choose_displacement(evidence, options.displacement, first, where, known_rest=reference is not None)
+    rest = find_rest_state(first, options.rest, reference, source, choice)
+    bends = cells.dimension == 2 and not own and _do_points_bend(sample, choice, rest.points, evidence.rounding)
+    built = build_rest_mesh(first, rest.points, cells, evidence.rounding, where, bends=bends, trusted=own)
+    layout = _join(first, choice, rest, built, evidence, ours=own)
+    if choice.guessed and choice.vector is not None:
+        _check_guess_by_cells(layout, sample, where)
+    return layout
+
+
+def _collect_sample(first: Grid, read: Callable[[int], Grid], count: int, ids: IdTable) -> Iterator[tuple[int, Grid]]:
+    """Yield the frames to look at, by index, with the points of each in the order of the first.
+
+    Frames with another mesh are passed over.
+    """
+    yield 0, first
+    for index in choose_sample(count, first.count)[1:]:
+        grid = read(index)
+        if (arranged := _rearrange(grid, first, ids)) is not None:
+            yield index, arranged
+
+
+def _rearrange(grid: Grid, first: Grid, ids: IdTable) -> Grid | None:
+    """Return a frame with its points in the order of the first, or None if it has another mesh."""
+    same = have_same_cells(grid, first)
+    if same and ids.are_in_place(grid):
+        shared = len(np.unique(first.connectivity)) < len(first.connectivity)
+        if shared or len(first.types) < 2 or ids.names:
+            return grid
+    found = match_by_ids(grid, ids)
+    if found is None and grid.count == first.count and not (same and np.array_equal(grid.points, first.points)):
+        tolerance = 1e-7 * float(np.ptp(first.points, axis=0).max(initial=0.0))
+        found = match_by_positions(first.points, first.cells, grid.points, grid.cells, tolerance)
+    if found is None:
+        return grid if same and ids.are_in_place(grid) else None
+    points = {name: found.select_nodes(np.asarray(values)) for name, values in grid.point_data.items()}
+    stored = found.select_nodes(grid.points)
+    return Grid(stored, first.count, first.types, first.offsets, first.connectivity, points, {}, {}, first.faces)
+
+
+def _do_points_bend(sample: Sample, choice: DisplacementChoice, rest: Floats, rounding: float) -> bool:
+    """Return whether a body that is planar at rest leaves its plane in one of the frames."""
+    normal, tolerance = find_normal(rest, rounding)
+    if normal is None:
+        return False
+    for _, grid in sample:
+        u = choice.vector.read(grid) if choice.added and choice.vector is not None else None
+        points = grid.points if u is None else grid.points + u
+        height = points @ normal
+        height = height[np.isfinite(height)]
+        if len(height) and np.ptp(height) > 10 * tolerance:
+            return True
+    return False
+
+
+def _join(
+    first: Grid, choice: DisplacementChoice, rest: RestPositions, built: RestMesh, evidence: Evidence, *, ours: bool
+) -> SeriesLayout:
+    """Return the layout with its notes and the texts of all decisions."""
+    bare = Grid(first.points, first.count, first.types, first.offsets, first.connectivity,
+                dict.fromkeys(first.point_data, np.zeros(0)), {}, {}, first.faces, first.parts)  # fmt: skip
+    ids = find_ids(first, built.arrangement, built.mesh.cell_array, use=not ours)
+    mesh = built.mesh
+    notes = (*built.notes, *choice.notes, *rest.notes, *_note_precision(first, built, evidence))
+    cells = ", ".join(f"{count} {name}" for name, count in built.counts.items())
+    decisions = Decisions(choice.text, rest.text, f"{cells} in {mesh.dimension}D", left_out=built.left_out)
+    own_points = not ours and len(mesh.points) == len(mesh.cell_array.connectivity) and len(mesh.cell_array.types) > 1
+    return SeriesLayout(
+        mesh, built.arrangement, choice, bare, ids, notes, decisions, evidence.rounding, own_points, trusted=ours
+    )
+
+
+def _note_precision(first: Grid, built: RestMesh, evidence: Evidence) -> list[str]:
+    """Return a note if the coordinates are too coarse for the cells: single precision far from the origin."""
+    if not is_single(first):
+        return []
+    mesh = built.mesh
+    largest = float(np.abs(mesh.points).max(initial=0.0))
+    spacing = float(np.spacing(np.float32(largest)))
+    size = float(np.median(mesh.rest_volumes)) ** (1 / mesh.dimension)
+    if spacing <= _PRECISE * size:
+        return []
+    return [
+        f"the points are in single precision: at {largest:.3g} m from the origin its numbers are {spacing:.2g} m "
+        f"apart, and the cells are about {size:.2g} m large: volume ratios are uncertain by {3 * spacing / size:.1g}"
+    ]
+
+
+def _check_guess_by_cells(layout: SeriesLayout, sample: Sample, where: str) -> None:
+    """Raise SeriesError if the guessed displacement makes an absurd body of the last frame that was looked at."""
+    vector, mesh = layout.choice.vector, layout.mesh
+    u = vector.read(sample[-1][1]) if vector is not None else None
+    if vector is None or u is None:
+        return
+    points = layout.arrangement.select_nodes(layout.grid.points + u)
+    if not np.isfinite(points).all():
+        return
+    local = np.ascontiguousarray(points[:, : mesh.points.shape[1]])
+    volumes = measure_volumes(local, mesh.cell_array, mesh.dimension, layout.plane)
+    check_sanity(mesh.size, layout.arrangement.select_nodes(u), float((volumes < 0).mean()), vector, where)
