@@ -9,7 +9,11 @@ from typing import Any
 from pipeline.cli.options import SharedOptions
 from pipeline.cli.terminal import show_notes, show_progress
 from pipeline.results.analysis_folder import Analysis, Comparison
+from pipeline.results.folder_kinds import check_series_folder
 from pipeline.series import Series, read_series
+
+_FOLDER = Path("outputs/analysis")
+_LONGEST_NAME = 120  # of a folder
 
 
 def add_verbs(verbs: Any, shared: SharedOptions) -> None:
@@ -24,8 +28,7 @@ def add_verbs(verbs: Any, shared: SharedOptions) -> None:
     foreign.add_argument("--strict", action="store_true", help="refuse a series that has missing or damaged frames")
     foreign.add_argument("--movie", action="store_true", help="also draw a movie")
     foreign.add_argument("--report", action="store_true", help="also write report.html, the results on one page")
-    foreign.add_argument("--out", type=Path, default=Path("outputs/analysis"), metavar="DIR",
-                         help="folder for results (%(default)s)")  # fmt: skip
+    foreign.add_argument("--out", type=Path, metavar="DIR", help=f"folder for results ({_FOLDER}/NAME)")
 
     analyze = verbs.add_parser(
         "analyze", parents=[*shared, foreign], help="measure the volumes and rotations of any program's series"
@@ -40,19 +43,24 @@ def add_verbs(verbs: Any, shared: SharedOptions) -> None:
     compare.add_argument(
         "--difference",
         action="store_true",
-        help="also compare cells and nodes with those of the first series, which must have the same cells",
+        help="also compare cells and nodes with those of the first series; other meshes are sampled at its places",
     )
     compare.set_defaults(run=_compare)
 
 
 def _read(options: argparse.Namespace, path: str) -> Series:
+    check_series_folder(Path(path))
     return read_series(path, displacement=options.displacement, rest=options.rest, strict=options.strict)
 
 
 def _analyze(options: argparse.Namespace) -> int:
     from pipeline.results.analysis_folder import analyze
+    from pipeline.results.reading_text import describe_reading
 
     series = _read(options, options.series)
+    options.out = options.out or _FOLDER / series.name
+    if not options.quiet:
+        print(*describe_reading(series), sep="\n", flush=True)
     with show_progress(options.quiet) as bar:
         analysis = analyze(
             series, options.out, movie=options.movie, on_frame=bar.show_reading, on_drawing=bar.show_picture
@@ -69,6 +77,7 @@ def _compare(options: argparse.Namespace) -> int:
     from pipeline.results.analysis_folder import compare
 
     series = [_read(options, path) for path in options.series]
+    options.out = options.out or _FOLDER / "_and_".join(s.name for s in series)[:_LONGEST_NAME]
     with show_progress(options.quiet) as bar:
         comparison = compare(
             series,

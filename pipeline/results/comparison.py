@@ -10,6 +10,7 @@ from pipeline.case import Case, load_case
 from pipeline.errors import OutputError, join_names
 from pipeline.formats.netcdf import open_dataset
 from pipeline.problem.problem import resolve_mass
+from pipeline.results.folder_kinds import load_result_case
 from pipeline.results.variant_run import UNFINISHED, read_run, result_settings
 from pipeline.series import read_series
 from pipeline.sinks.frame_formats import FORMATS
@@ -151,7 +152,7 @@ def _belongs_to(run: dict[str, Any], case: Case, folder: Path) -> bool:
 def redraw_movie(folder: str | os.PathLike[str], *, on_drawing: Callable[[int, int], None] | None = None) -> Path:
     """Redraw the movie of a result folder from its frames; raises PipelineError if it is not a result folder."""
     folder = Path(folder)
-    case = load_case(folder / "case.toml")
+    case = load_result_case(folder)
     runs = find_runs(case, folder)
     shown = [name for name in case.movie.variants if name in runs]
     if not shown:

@@ -7,10 +7,11 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from pipeline.case import Case, load_case
+from pipeline.case import Case
 from pipeline.errors import OutputError
 from pipeline.results.analysis_folder import Analysis, Comparison
 from pipeline.results.comparison import MOVIE_FILES, find_runs, make_title
+from pipeline.results.folder_kinds import load_result_case
 from pipeline.results.variant_run import UNFINISHED, describe_difference, read_run, result_settings
 from pipeline.series import Series, read_series
 from pipeline.system.version import VERSION
@@ -31,7 +32,7 @@ def write_report(folder: str | os.PathLike[str], on_frame: OnFrameRead | None = 
     read.
     """
     folder = Path(folder)
-    case = load_case(folder / "case.toml")
+    case = load_result_case(folder)
     runs = {name: run for name, run in find_runs(case, folder).items() if run["status"] not in UNFINISHED}
     missing = [
         f"{name} is not shown: {_explain_absence(case, folder, name)}"

@@ -29,7 +29,7 @@ def test_analyze_writes_the_numbers_of_the_series(tmp_path):
     assert [path.name for path in result.files] == ["statistics.nc", "volume.png"]
     assert all(path.stat().st_size for path in result.files)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["statistics.nc", "volume.png"]
-    assert seen == [(tmp_path.name, i + 1, 3) for i in range(3)]
+    assert seen == [(read_series(source).name, i + 1, 3) for i in range(3)]
     assert result.worst_volume_ratio == pytest.approx((1 + GROWTH * TIMES[-1]) ** 3)
     assert (result.frames, result.worst_time) == (3, TIMES[-1])
     with xarray.open_dataset(result.files[0]) as dataset:
