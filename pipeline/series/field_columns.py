@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import MeshChangedError, SeriesError
+from pipeline.errors import SeriesError
 from pipeline.formats.grid import Grid
 from pipeline.run.measures import STEPS, VARIABLES
 from pipeline.series.agreement import MEASURED, find_agreeing
@@ -59,9 +59,7 @@ def _iterate_frames(
     for index in chosen:
         with suppress(SeriesError):
             grid = store.read_grid(index)
-            try:
-                store.series.layout.arrange(grid, str(store.series.files[index]))
-            except MeshChangedError:
+            if store.find_arrangement(index, grid) is None:
                 grid = replace(grid, point_data={}, cell_data={})
                 if changed is not None:
                     changed.append(index)

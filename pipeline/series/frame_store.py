@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pipeline.errors import MeshChangedError
 from pipeline.formats.grid import Grid
 from pipeline.run.measures import STEPS, pad_to_space
-from pipeline.series.arrangement import have_same_cells
+from pipeline.series.arrangement import Arrangement, have_same_cells
 from pipeline.series.field_table import FieldForm, fit_value
 from pipeline.series.series import Series
 
@@ -41,6 +41,7 @@ class FrameStore:
         self.series, self.capacity = series, capacity
         self._lock = lock
         self._cache: OrderedDict[int, Grid] = OrderedDict()
+        self._arrangements: dict[int, Arrangement | None] = {}
         self._bytes = 0
         self._cells: Grid | None = None
         if first is not None:
@@ -63,7 +64,9 @@ class FrameStore:
         self._cache[index] = grid
         self._bytes += grid.nbytes
         while len(self._cache) > 2 and self._bytes > self.capacity:
-            self._bytes -= self._cache.popitem(last=False)[1].nbytes
+            oldest, content = self._cache.popitem(last=False)
+            self._bytes -= content.nbytes
+            self._arrangements.pop(oldest, None)
         return grid
 
     def read_field(self, column: FieldColumn, index: int) -> NDArray[Any]:
@@ -78,28 +81,39 @@ class FrameStore:
         data = getattr(grid, f"{kind}_data")
         value: NDArray[Any] | None = data.get(source)
         if kind != "field":
-            value = None if value is None else self._arrange(value, kind, grid, where)
+            value = None if value is None else self._arrange(value, kind, index, grid)
         elif value is not None:
             value = value.reshape(-1)
             value = value[:1].reshape(()) if value.size == 1 and source not in STEPS else value
         return fit_value(value, column.form, column.shape, where)
 
-    def _arrange(self, value: NDArray[Any], kind: str, grid: Grid, where: str) -> NDArray[Any] | None:
-        """Return values in the order of the mesh; None if the frame has other cells."""
+    def find_arrangement(self, index: int, grid: Grid) -> Arrangement | None:
+        """Return where a frame has the nodes and cells of the mesh; None if it has others. Cached with the frame."""
+        with self._lock:
+            if index in self._arrangements:
+                return self._arrangements[index]
         try:
-            arrangement = self.series.layout.arrange(grid, where)
+            found = self.series.layout.arrange(grid, str(self.series.files[index]))
         except MeshChangedError:
+            found = None
+        with self._lock:
+            if index in self._cache:
+                self._arrangements[index] = found
+        return found
+
+    def _arrange(self, value: NDArray[Any], kind: str, index: int, grid: Grid) -> NDArray[Any] | None:
+        """Return values in the order of the mesh; None if the frame has other cells."""
+        if (arrangement := self.find_arrangement(index, grid)) is None:
             return None
         return arrangement.select_nodes(value) if kind == "point" else arrangement.select_cells(value)
 
     def _read_displacement(self, column: FieldColumn, index: int, grid: Grid) -> NDArray[Any]:
-        layout = self.series.layout
-        if column.exact and "displacement" in grid.point_data:
+        arrangement = self.find_arrangement(index, grid)
+        if column.exact and "displacement" in grid.point_data and arrangement is not None:
             # our files hold it exactly; a difference of positions is rounded twice
-            arrangement = layout.arrange(grid, str(self.series.files[index]))
             return arrangement.select_nodes(np.asarray(grid.point_data["displacement"], dtype=np.float64))
-        return pad_to_space(self.series.read_frame(index, grid).x - layout.mesh.points)
+        return pad_to_space(self.series.read_frame(index, grid).x - self.series.mesh.points)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without the cached frames: dask sends it to other processes."""
-        return self.__dict__ | {"_cache": OrderedDict(), "_bytes": 0, "_cells": None}
+        return self.__dict__ | {"_cache": OrderedDict(), "_arrangements": {}, "_bytes": 0, "_cells": None}
