@@ -3,6 +3,7 @@
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
+from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 from xml.parsers.expat import errors as expat
@@ -28,13 +29,13 @@ _TAIL = b"  </Collection>\n</VTKFile>\n"
 
 
 class IndexEntry(NamedTuple):
-    """A row of an index: its time [s], None if it has none, the file, and the text of the time, group and part."""
+    """A file at a time [s], NaN if the index has none; the step in it, the time's text, and the part of the body."""
 
-    time: float | None
+    time: float
     file: Path
+    step: int = 0
     text: str = ""
-    group: str = ""
-    part: str = ""
+    part: tuple[str, ...] = ()
 
 
 def read_index(index: Path) -> tuple[list[IndexEntry], list[str]]:
@@ -71,18 +72,17 @@ def complete_pvd(rows: bytes | bytearray) -> bytes:
 
 def _make_entries(index: Path, rows: list[dict[str, str]], notes: list[str]) -> list[IndexEntry]:
     """Return the entries of rows of attributes; appends notes on times and paths."""
-    entries, found = [], dict[str, None]()
+    entries, found = [], dict[str, str]()  # notes by kind
     for row in rows:
         file, note = locate_file(index, row["file"])
         text = row.get("timestep", "")
-        entries.append(
-            IndexEntry(parse_time(text) if text else None, file, text, row.get("group", ""), row.get("part", ""))
-        )
+        part = (row.get("group", ""), row.get("part", "")) if len(row) > 2 else ()
+        entries.append(IndexEntry(parse_time(text) if text else nan, file, 0, text, part))
         if note:
-            found[note] = None
+            found[note] = note
         if "," in text and has_comma(text):
-            found[f"the comma in times such as {shorten(text)} is taken as a decimal point"] = None
-    notes += list(found)[:5]
+            found.setdefault(",", f"the comma in times such as {shorten(text)} is taken as a decimal point")
+    notes += found.values()
     return entries
 
 
@@ -90,18 +90,22 @@ def _read_pvd(index: Path) -> tuple[list[dict[str, str]], list[str]]:
     """Return the attributes of each entry, and a note if the file ends too early."""
     if reason := find_refusal(index):
         raise ValueError(reason)
-    parser: ET.XMLPullParser[Any] = ET.XMLPullParser(["end"])
-    rows = list[dict[str, str]]()
+    content = index.read_bytes()
     try:
-        parser.feed(index.read_bytes())
-        ends = cast("Iterator[tuple[str, ET.Element]]", parser.read_events())
-        rows += [element.attrib for _, element in ends if element.tag == "DataSet"]
-        parser.close()
+        return [element.attrib for element in ET.fromstring(content).findall("./Collection/DataSet")], []
     except ET.ParseError as error:
-        if error.code not in _CUT_OFF or not rows:
+        rows = _read_complete_rows(content) if error.code in _CUT_OFF else []
+        if not rows:
             raise
-        return rows, [f"the index ends too early, as if its program had been stopped; {len(rows)} entries are read"]
-    return rows, []
+    return rows, [f"the index ends too early, as if its program had been stopped; {len(rows)} entries are read"]
+
+
+def _read_complete_rows(content: bytes) -> list[dict[str, str]]:
+    """Return the attributes of each complete entry of an index that ends too early."""
+    parser: ET.XMLPullParser[Any] = ET.XMLPullParser(["end"])
+    parser.feed(content)
+    ends = cast("Iterator[tuple[str, ET.Element]]", parser.read_events())
+    return [element.attrib for _, element in ends if element.tag == "DataSet"]
 
 
 def _read_json(index: Path) -> list[dict[str, str]]:

@@ -8,11 +8,17 @@ from pipeline.errors import shorten
 
 # in order of precedence; compared in lower case without separators
 _TIME_FIELDS = ("timevalue", "timevalues", "time", "simulationtime", "simtime", "currenttime", "t")
+_ODD = frozenset(",_dD")
 _COMMA = re.compile(r"[-+]?\d*,\d+(?:[eEdD][-+]?\d+)?")
 
 
 def parse_time(text: str) -> float:
     """Return the time of a text: also with a decimal comma (0,5) or Fortran's exponent (2.0D-1); raises ValueError."""
+    if text.isascii() and not _ODD.intersection(text):  # the usual case: an index may hold thousands of times
+        try:
+            return float(text)
+        except ValueError:
+            pass
     plain = text.strip()
     if _COMMA.fullmatch(plain):
         plain = plain.replace(",", ".")

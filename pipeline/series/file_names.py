@@ -19,23 +19,23 @@ def make_natural_key(file: Path) -> list[tuple[int, str]]:
 
 
 def read_decimals(files: Sequence[Path]) -> list[float] | None:
-    """Return the last number of each name if these are different decimals such as result-0.0005; None if they are not.
+    """Return the last number that varies in the paths if it is a decimal, as in result-0.0005; None if it is not.
 
     In mesh_4.9, mesh_4.10 the numbers are counters: their last digits are not those of fractions.
     """
-    found = [_NUMBER.findall(file.name[: -len(file.suffix)] if file.suffix else file.name) for file in files]
-    if not all(found) or len({len(numbers) for numbers in found}) > 1:
+    found = [_NUMBER.findall(str(file).removesuffix(file.suffix)) for file in files]
+    if len({len(numbers) for numbers in found}) != 1:
         return None
-    texts = [numbers[-1] for numbers in found]
+    texts = next(([*column] for column in reversed([*zip(*found, strict=True)]) if len(set(column)) > 1), [])
     matches = [_DECIMAL.fullmatch(text) for text in texts]
-    if not any("." in text or "e" in text.lower() for text in texts) or not all(matches):
+    if not any("." in text or "e" in text.lower() for text in texts) or not all(matches):  # nor if there are none
         return None
     fractions = [match[1] or "" for match in matches if match is not None]
     # counters such as 4.9, 4.10
     if len({len(fraction) for fraction in fractions}) > 1 and any(f.endswith("0") and f != "0" for f in fractions):
         return None
     whole = {text.split(".")[0] for text in texts}
-    if len(whole) == 1 and whole != {"0"} and len(texts) > 1 and not any("e" in text.lower() for text in texts):
+    if len(whole) == 1 and whole != {"0"} and not any("e" in text.lower() for text in texts):
         return None
     values = [float(text) for text in texts]
     return values if len(set(values)) == len(values) else None

@@ -77,8 +77,8 @@ def _read_other_times(file: Path, depth: int) -> FileTimes:
         check_depth(file, depth)
         own = read_own_times(file)
         first = find_first_piece(file)
-        if own or first is None:
-            return FileTimes(own)
+        if len(own) == 1 or first is None:
+            return FileTimes(own[:1])
         grid = read_inline(first)
         return _read_other_times(first, depth + 1) if grid is None else _find_time(grid)
     _check_file(file)
@@ -125,7 +125,7 @@ def find_fault(file: Path, depth: int = 0) -> str | None:
         return "is missing"
     if not status.st_size and file.suffix != ".foam":  # its name stands for a folder
         return "is empty"
-    suffix = os.path.splitext(name)[1].lower()
+    suffix = ".vtu" if name.endswith(".vtu") else os.path.splitext(name)[1].lower()
     if suffix in _ENDS_AS_VTK_FILE:
         if b"</VTKFile>" not in _read_end(name, status.st_size):
             return "is truncated: it does not end with </VTKFile>"
@@ -133,6 +133,14 @@ def find_fault(file: Path, depth: int = 0) -> str | None:
     if suffix == ".vtk":  # nothing at its end shows that it is complete
         return _find_legacy_fault(file, status.st_mtime_ns)
     return None
+
+
+def find_pieces(file: Path) -> list[Path]:
+    """Return the files that a file names, none if it is damaged or not of such a kind."""
+    try:
+        return [piece.file for piece in list_pieces(file)] if is_piecewise(file) else []
+    except SeriesError:  # reported when the file is read
+        return []
 
 
 def _find_piece_fault(file: Path, depth: int) -> str | None:

@@ -14,8 +14,9 @@ from typing import NamedTuple
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.grid import Grid
 from pipeline.formats.parts import have_equal_cells
+from pipeline.formats.pvd import IndexEntry
 from pipeline.series.bodies import are_apart
-from pipeline.series.file_names import list_numbers, make_natural_key, make_template
+from pipeline.series.file_names import list_numbers, make_natural_key, make_template, read_decimals
 from pipeline.series.frame_files import find_fault, read_grid, read_times
 from pipeline.series.frame_times import spread_times
 
@@ -31,19 +32,9 @@ class Member(NamedTuple):
     others: tuple[Path, ...] = ()
 
 
-class Entry(NamedTuple):
-    """A file and step at a time [s], the text of that time, and the part of the body that an index says it is."""
-
-    time: float
-    file: Path
-    step: int = 0
-    text: str = ""
-    part: tuple[str, ...] = ()
-
-
 _Parts = list[tuple[str, ...]]  # the part of the body that each entry is
 _Groups = list[list[int]]  # entries of one time and part
-_Rule = Callable[[Sequence[Entry], _Groups, str], _Parts | None]
+_Rule = Callable[[Sequence[IndexEntry], _Groups, str], _Parts | None]
 
 
 class Instants(NamedTuple):
@@ -54,7 +45,7 @@ class Instants(NamedTuple):
     faults: list[str]
 
 
-def arrange_instants(entries: Sequence[Entry], where: str) -> Instants:
+def arrange_instants(entries: Sequence[IndexEntry], where: str) -> Instants:
     """Return the instants of entries; raises SeriesError if the evidence does not decide."""
     times = [entry.time for entry in entries]
     if all(a < b for a, b in pairwise(times)):  # the usual case
@@ -79,15 +70,15 @@ def arrange_instants(entries: Sequence[Entry], where: str) -> Instants:
     return Instants(members, [*notes, *restart_notes, *time_notes], faults)
 
 
-def _find_parts(entries: Sequence[Entry], where: str) -> tuple[_Parts, list[str]]:
+def _find_parts(entries: Sequence[IndexEntry], where: str) -> tuple[_Parts, list[str]]:
     """Return the part of the body that each entry is, and notes: entries of one time are different parts, or frames."""
     parts: _Parts = [()] * len(entries)
     notes = list[str]()
     rules: tuple[tuple[str, _Rule], ...] = (
-        ("as the index says", _take_declared),
-        ("told by their names", _take_templates),
-        ("told by a number in their names", _take_number),
-        ("told by their cells and places", _take_order),
+        ("", _take_declared),
+        (", by their names", _take_templates),
+        (", by a number in their names", _take_number),
+        (", by their cells and places", _take_order),
     )
     for evidence, rule in rules:
         groups = _group_equal(entries, parts)
@@ -97,11 +88,11 @@ def _find_parts(entries: Sequence[Entry], where: str) -> tuple[_Parts, list[str]
         if more is not None:
             parts = [(*own, *further) for own, further in zip(parts, more, strict=True)]
             count = len(set(parts))
-            notes.append(f"the files of one time are {count} parts of the body, {evidence}")
+            notes.append(f"the files of one time are {count} parts of the body{evidence}")
     return parts, notes
 
 
-def _group_equal(entries: Sequence[Entry], parts: _Parts) -> _Groups:
+def _group_equal(entries: Sequence[IndexEntry], parts: _Parts) -> _Groups:
     """Return the entries of equal time and part, two or more each, in order of the first."""
     groups = defaultdict[tuple[float, tuple[str, ...]], list[int]](list)
     for i, (entry, part) in enumerate(zip(entries, parts, strict=True)):
@@ -109,19 +100,19 @@ def _group_equal(entries: Sequence[Entry], parts: _Parts) -> _Groups:
     return [own for own in groups.values() if len({(entries[i].file, entries[i].step) for i in own}) > 1]
 
 
-def _take_declared(entries: Sequence[Entry], groups: _Groups, _where: str) -> _Parts | None:
+def _take_declared(entries: Sequence[IndexEntry], groups: _Groups, _where: str) -> _Parts | None:
     """Return the attributes group and part of the index if they differ within a time."""
     differ = any(len({entries[i].part for i in own}) > 1 for own in groups)
     return [entry.part for entry in entries] if differ else None
 
 
-def _take_templates(entries: Sequence[Entry], groups: _Groups, _where: str) -> _Parts | None:
+def _take_templates(entries: Sequence[IndexEntry], groups: _Groups, _where: str) -> _Parts | None:
     """Return the names without numbers if they differ within a time."""
     names: _Parts = [(make_template(entry.file.as_posix()),) for entry in entries]
     return names if any(len({names[i] for i in own}) > 1 for own in groups) else None
 
 
-def _take_number(entries: Sequence[Entry], groups: _Groups, _where: str) -> _Parts | None:
+def _take_number(entries: Sequence[IndexEntry], groups: _Groups, _where: str) -> _Parts | None:
     """Return the number in the names that alone varies within a time, between the same values at several times."""
     if len(groups) < 2:
         return None
@@ -135,7 +126,7 @@ def _take_number(entries: Sequence[Entry], groups: _Groups, _where: str) -> _Par
     return None
 
 
-def _take_order(entries: Sequence[Entry], groups: _Groups, where: str) -> _Parts | None:
+def _take_order(entries: Sequence[IndexEntry], groups: _Groups, where: str) -> _Parts | None:
     """Return the order within a time if the cells or the places of the bodies show that the files are parts.
 
     None if they are frames of one body. Raises SeriesError if neither is clear.
@@ -163,7 +154,7 @@ def _take_order(entries: Sequence[Entry], groups: _Groups, where: str) -> _Parts
     )
 
 
-def _recur(entries: Sequence[Entry], groups: _Groups, grids: Sequence[Grid]) -> bool:
+def _recur(entries: Sequence[IndexEntry], groups: _Groups, grids: Sequence[Grid]) -> bool:
     """Return whether the files of the next time have the cells of those of the first time, in their order."""
     if len(groups) < 2:
         return False
@@ -173,7 +164,7 @@ def _recur(entries: Sequence[Entry], groups: _Groups, grids: Sequence[Grid]) -> 
     return all(have_equal_cells(read_grid(e.file, e.step), g) for e, g in zip(nexts, grids, strict=True))
 
 
-def _drop_replaced(entries: Sequence[Entry], parts: _Parts, where: str) -> tuple[list[int], list[str]]:
+def _drop_replaced(entries: Sequence[IndexEntry], parts: _Parts, where: str) -> tuple[list[int], list[str]]:
     """Return the entries that no restart replaced, in order, and notes."""
     kept, replaced, repeated = list[int](), 0, 0
     for part in dict.fromkeys(parts):
@@ -194,7 +185,7 @@ def _drop_replaced(entries: Sequence[Entry], parts: _Parts, where: str) -> tuple
     return sorted(kept), notes
 
 
-def _is_repeated(entry: Entry, following: Entry) -> bool:
+def _is_repeated(entry: IndexEntry, following: IndexEntry) -> bool:
     """Return whether the next entry has the same time and content."""
     if entry.time != following.time or entry.step != following.step:
         return False
@@ -206,7 +197,7 @@ def _is_repeated(entry: Entry, following: Entry) -> bool:
         return False
 
 
-def _follow_restarts(entries: Sequence[Entry], own: list[int], where: str) -> list[int]:
+def _follow_restarts(entries: Sequence[IndexEntry], own: list[int], where: str) -> list[int]:
     """Return the entries of one part without those that a restart replaced; raises SeriesError if two runs follow."""
     if not _has_restart(entries, own):
         return own
@@ -229,19 +220,22 @@ def _follow_restarts(entries: Sequence[Entry], own: list[int], where: str) -> li
     return kept
 
 
-def _has_restart(entries: Sequence[Entry], own: list[int]) -> bool:
+def _has_restart(entries: Sequence[IndexEntry], own: list[int]) -> bool:
     """Return whether times that go back are those of a restart: a time recurs, or the names are in order."""
     times = [entries[i].time for i in own]
-    if all(a <= b for a, b in pairwise(times)):
+    if all(a <= b for a, b in pairwise(times)) or all(a > b for a, b in pairwise(times)):
         return False
     changes = [t for t, last in zip(times, [None, *times], strict=False) if t != last]
     if len(set(changes)) < len(changes):
         return True
-    keys = [make_natural_key(entries[i].file) for i in own]
-    return all(a < b for a, b in pairwise(keys))
+    files = [entries[i].file for i in own]
+    decimals = read_decimals(files)
+    if decimals is not None:
+        return all(a < b for a, b in pairwise(decimals))
+    return all(a < b for a, b in pairwise(map(make_natural_key, files)))
 
 
-def _group_instants(entries: Sequence[Entry], parts: _Parts, kept: list[int]) -> list[list[int]]:
+def _group_instants(entries: Sequence[IndexEntry], parts: _Parts, kept: list[int]) -> list[list[int]]:
     """Return the entries of each instant, its parts in their order: the k-th of each part at a time go together."""
     order = {part: k for k, part in enumerate(dict.fromkeys(parts))}
     seen = defaultdict[tuple[float, tuple[str, ...]], int](int)
@@ -254,7 +248,7 @@ def _group_instants(entries: Sequence[Entry], parts: _Parts, kept: list[int]) ->
 
 
 def _drop_incomplete(
-    entries: Sequence[Entry], parts: _Parts, instants: list[list[int]]
+    entries: Sequence[IndexEntry], parts: _Parts, instants: list[list[int]]
 ) -> tuple[list[list[int]], list[str]]:
     """Return the instants without those that lack a part which others before and after have, or which end the list."""
     present = [{parts[i] for i in own} for own in instants]
@@ -274,7 +268,7 @@ def _drop_incomplete(
     return whole, faults
 
 
-def _check_parts(entries: Sequence[Entry], parts: _Parts, instants: list[list[int]]) -> None:
+def _check_parts(entries: Sequence[IndexEntry], parts: _Parts, instants: list[list[int]]) -> None:
     """Raise SeriesError if parts of an instant are the same body in almost the same place."""
     checked = set[frozenset[tuple[str, ...]]]()
     for own in instants:

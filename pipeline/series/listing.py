@@ -3,15 +3,17 @@
 import re
 from collections.abc import Sequence
 from glob import has_magic
-from os.path import exists, isdir  # pathlib's versions raise if a name is longer than the system allows
+from os.path import exists, isdir, isfile  # pathlib's versions raise if a name is longer than the system allows
 from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.pvd import INDEX_SUFFIXES, IndexEntry, read_index
 from pipeline.formats.readers import SUFFIXES, is_folder, is_temporal
-from pipeline.series.frame_files import find_fault, read_times
-from pipeline.series.instants import Entry, Member, arrange_instants
+from pipeline.formats.vtu_steps import find_step_times
+from pipeline.series.file_names import make_template
+from pipeline.series.frame_files import find_fault, find_pieces, read_times
+from pipeline.series.instants import Member, arrange_instants
 from pipeline.series.numbered import list_numbered
 from pipeline.series.run_folder import find_unlisted_frames, is_own
 
@@ -31,19 +33,20 @@ class FrameListing(NamedTuple):
 class _Found(NamedTuple):
     """Entries, notes, and the faults of files that have no time."""
 
-    entries: list[Entry]
+    entries: list[IndexEntry]
     notes: list[str]
     faults: list[str]
 
 
 def list_frames(path: Path, *, strict: bool) -> FrameListing:
     """Return the frames of a path; raises SeriesError if there are none or, with `strict`, if any is missing."""
-    index, folder_notes = _find_index(path)
+    index = _find_index(path)
     found = _find_entries(index)
     entries = found.entries
+    folder_notes = _find_unlisted(path, index, entries) if index.parent == path and index.name not in _OWN else []
     ours = index.name in _OWN and is_own(index.parent, tuple(entry.file for entry in entries))
     if ours and index.suffix == ".pvd":
-        entries += [Entry(*frame) for frame in find_unlisted_frames(index.parent, len(entries))]
+        entries += [IndexEntry(*frame) for frame in find_unlisted_frames(index.parent, len(entries))]
     bad = next((entry.time for entry in entries if not abs(entry.time) < float("inf")), None)
     if bad is not None:
         raise SeriesError(f"{index}: the time {bad} is not a number")
@@ -76,18 +79,28 @@ def _choose_name(index: Path, path: Path) -> tuple[str, Path]:
     return stem or index.name, folder
 
 
-def _find_index(path: Path) -> tuple[Path, list[str]]:
-    """Return the index in a folder if there is one, else the path itself, and a note on other frames in the folder."""
+def _find_index(path: Path) -> Path:
+    """Return the index in a folder if there is one, else the path itself."""
     if not isdir(path) or is_folder(path):
-        return path, []
+        return path
     for name in _OWN:
         if (path / name).exists():
-            return path / name, []
-    files = list(path.iterdir())
-    indices = sorted(file for file in files if file.suffix.lower() in INDEX_SUFFIXES or is_temporal(file))
+            return path / name
+    indices = sorted(file for file in path.iterdir() if file.suffix.lower() in INDEX_SUFFIXES or is_temporal(file))
     if len(indices) > 1:
         raise SeriesError(f"{path}: holds several series; name one of {join_names(file.name for file in indices)}")
-    return (indices[0], []) if indices else (path, [])
+    return indices[0] if indices else path
+
+
+def _find_unlisted(folder: Path, index: Path, entries: Sequence[IndexEntry]) -> list[str]:
+    """Return a note on data files in a folder that its only index does not list, nor the files that it lists."""
+    listed = {entry.file.name for entry in entries}
+    pieces = {make_template(piece.name) for piece in find_pieces(entries[0].file)}
+    others = [file.name for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.name not in listed]
+    patterns = sorted({make_template(name) for name in others} - pieces)
+    if not patterns:
+        return []
+    return [f"{index.name} is read; the folder also has files that it does not list: {join_names(patterns)}"]
 
 
 def _find_entries(index: Path) -> _Found:
@@ -102,7 +115,7 @@ def _find_entries(index: Path) -> _Found:
         return _list_index(index)
     if is_temporal(index):
         times = read_times(index).values or (0.0,)
-        return _Found([Entry(time, index, step) for step, time in enumerate(times)], [], [])
+        return _Found([IndexEntry(time, index, step) for step, time in enumerate(times)], [], [])
     return _number_files(index, [index])
 
 
@@ -113,18 +126,24 @@ def _number_files(where: Path, candidates: Sequence[Path]) -> _Found:
 
 def _list_index(index: Path) -> _Found:
     """Return the entries of an index, with times from the files if the index gives none."""
-    rows, notes = read_index(index)
-    if all(row.time is not None for row in rows):
-        entries = [Entry(row.time or 0.0, row.file, 0, row.text, (row.group, row.part)) for row in rows]
-    else:
-        entries, more = _find_missing_times(index, rows)
+    entries, notes = read_index(index)
+    if any(not entry.text for entry in entries):
+        entries, more = _find_missing_times(index, entries)
         notes += more
-    return _Found([_find_step(entry) for entry in entries], notes, [])
+    kinds = {str(entry.file)[-5:]: entry.file for entry in entries}
+    if any(is_temporal(file) or _has_steps(file) for file in (entries[0].file, *kinds.values())):
+        entries = [_find_step(entry) for entry in entries]
+    return _Found(entries, notes, [])
 
 
-def _find_missing_times(index: Path, rows: Sequence[IndexEntry]) -> tuple[list[Entry], list[str]]:
+def _has_steps(file: Path) -> bool:
+    """Return whether a .vtu or .vtp holds several steps."""
+    return file.suffix.lower() in (".vtu", ".vtp") and isfile(file) and find_step_times(file) is not None
+
+
+def _find_missing_times(index: Path, rows: Sequence[IndexEntry]) -> tuple[list[IndexEntry], list[str]]:
     """Return the entries of rows of which some have no time, and a note; raises SeriesError if the files have none."""
-    lacking = [row for row in rows if row.time is None]
+    lacking = [row for row in rows if not row.text]
     own = [read_times(row.file).values if find_fault(row.file) is None else () for row in lacking]
     if all(len(values) == 1 for values in own):
         times = dict(zip(map(id, lacking), (values[0] for values in own), strict=True))
@@ -136,15 +155,12 @@ def _find_missing_times(index: Path, rows: Sequence[IndexEntry]) -> tuple[list[E
         raise SeriesError(
             f"{index}: it gives no time (timestep) for {shorten(lacking[0].file.name)}, nor is one in the file; add it"
         )
-    rows = [row if row.time is not None else row._replace(time=times[id(row)]) for row in rows]
-    return [Entry(row.time or 0.0, row.file, 0, row.text, (row.group, row.part)) for row in rows], [note]
+    return [row if row.text else row._replace(time=times[id(row)]) for row in rows], [note]
 
 
-def _find_step(entry: Entry) -> Entry:
+def _find_step(entry: IndexEntry) -> IndexEntry:
     """Return the entry with the step of its file that has its time, if the file holds a whole series."""
-    if not is_temporal(entry.file):
-        return entry
-    if find_fault(entry.file) is not None:
+    if not (is_temporal(entry.file) or _has_steps(entry.file)) or find_fault(entry.file) is not None:
         return entry
     times = read_times(entry.file).values
     if len(times) < 2:

@@ -6,19 +6,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.errors import SeriesError, join_names, shorten
-from pipeline.formats.multiblock import is_piecewise, list_pieces
 from pipeline.formats.parts import have_equal_cells
+from pipeline.formats.pvd import IndexEntry
 from pipeline.formats.readers import SUFFIXES
 from pipeline.series.bodies import are_apart
 from pipeline.series.file_names import list_numbers, make_natural_key, make_template, read_decimals
-from pipeline.series.frame_files import FileTimes, find_fault, read_grid, read_times
-from pipeline.series.instants import Entry
+from pipeline.series.frame_files import FileTimes, find_fault, find_pieces, read_grid, read_times
 
 
 class NumberedEntries(NamedTuple):
     """Entries of files, notes on decisions, and files that cannot be read."""
 
-    entries: list[Entry]
+    entries: list[IndexEntry]
     notes: list[str]
     faulty: list[Path]
 
@@ -41,7 +40,7 @@ def list_numbered(where: Path, candidates: Sequence[Path]) -> NumberedEntries:
             "index (.pvd) with the times"
         )
     if known and (len(set(known)) > 1 or len(known) == 1):
-        entries = [Entry(time, file) for time, file in zip(known, whole, strict=True)]
+        entries = [IndexEntry(time, file) for time, file in zip(known, whole, strict=True)]
         return NumberedEntries(entries, _name_fields(times), faulty)
     entries, notes = _count_frames(where, whole, bool(known))
     return NumberedEntries(entries, notes, faulty)
@@ -57,26 +56,22 @@ def _select_files(where: Path, candidates: Sequence[Path]) -> list[Path]:
     if len(patterns) > 1:
         choices = join_names(f"{pattern} ({count})" for pattern, count in patterns.items())
         raise SeriesError(f"{where}: holds several series; give a pattern: {choices}")
-    return sorted(files, key=make_natural_key)
+    files.sort(key=make_natural_key)
+    decimals = read_decimals(files)
+    return files if decimals is None else [file for _, file in sorted(zip(decimals, files, strict=True))]
 
 
 def _drop_pieces(files: Sequence[Path]) -> list[Path]:
     """Return the files without the pieces of others among them."""
-    pieces = set[str]()
-    for file in files:
-        if is_piecewise(file):
-            try:
-                pieces |= {piece.file.name for piece in list_pieces(file)}
-            except SeriesError:  # reported later
-                continue
+    pieces = {piece.name for file in files for piece in find_pieces(file)}
     return [file for file in files if file.name not in pieces]
 
 
-def _list_steps(where: Path, files: Sequence[Path], times: Sequence[FileTimes]) -> tuple[list[Entry], list[str]]:
+def _list_steps(where: Path, files: Sequence[Path], times: Sequence[FileTimes]) -> tuple[list[IndexEntry], list[str]]:
     """Return the entries of files with several steps each."""
     if not all(own.values for own in times):
         raise SeriesError(f"{where}: some of its files have several times, others none; give a pattern")
-    entries = [Entry(t, f, step) for f, own in zip(files, times, strict=True) for step, t in enumerate(own.values)]
+    entries = [IndexEntry(t, f, step) for f, own in zip(files, times, strict=True) for step, t in enumerate(own.values)]
     return entries, [f"{len(entries)} steps are in {len(files)} files"]
 
 
@@ -86,22 +81,22 @@ def _name_fields(times: Sequence[FileTimes]) -> list[str]:
     return [f"the times are the field {join_names(names)} of the files"] if names else []
 
 
-def _count_frames(where: Path, files: list[Path], have_times: bool) -> tuple[list[Entry], list[str]]:
+def _count_frames(where: Path, files: list[Path], have_times: bool) -> tuple[list[IndexEntry], list[str]]:
     """Return the entries of files without times that differ: counted, or at the times in their names."""
     parts, notes = _find_parts(where, files)
     if parts is not None:
         numbers = {number: float(i) for i, number in enumerate(sorted({number for number, _ in parts}))}
         entries = [
-            Entry(numbers[number], file, part=(str(part),)) for (number, part), file in zip(parts, files, strict=True)
+            IndexEntry(numbers[number], file, part=(str(part),))
+            for (number, part), file in zip(parts, files, strict=True)
         ]
         return entries, [*notes, "the files have no times; frames are counted from 0"]
     decimals = read_decimals(files)
-    if decimals is not None and len(files) > 1:
-        in_order = sorted(zip(decimals, files, strict=True))
-        note = f"the numbers in the names are taken as the times: {in_order[0][0]:g} to {in_order[-1][0]:g} s"
-        return [Entry(time, file) for time, file in in_order], [note]
+    if decimals is not None:
+        note = f"the numbers in the names are taken as the times: {decimals[0]:g} to {decimals[-1]:g} s"
+        return [IndexEntry(time, file) for time, file in zip(decimals, files, strict=True)], [note]
     reason = "all files have the same time" if have_times else "the files have no times"
-    entries = [Entry(float(i), file) for i, file in enumerate(files)]
+    entries = [IndexEntry(float(i), file) for i, file in enumerate(files)]
     return entries, [*notes, f"{reason}; frames are counted from 0"] if len(files) > 1 else []
 
 

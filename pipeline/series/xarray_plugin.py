@@ -45,7 +45,7 @@ class SeriesBackend(BackendEntrypoint):
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
         """Return whether the path has the suffix of a series."""
-        return isinstance(filename_or_obj, str | PathLike) and Path(filename_or_obj).suffix in _SUFFIXES
+        return isinstance(filename_or_obj, str | PathLike) and Path(filename_or_obj).suffix.lower() in _SUFFIXES
 
     def open_dataset(
         self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None,
