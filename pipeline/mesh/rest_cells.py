@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.arrays import Floats, Ints
 from pipeline.mesh.blocks import KindBlock
 from pipeline.mesh.quadrature import Quadrature, find_quadrature, find_samples
+from pipeline.mesh.simplex import compute_shape_gradients
 
 _AT_A_TIME = 2048  # cells: intermediate arrays stay small
 _DEGENERATE = 1e-9  # of the mean det: below it F is noise, as at corners where nodes of a cell coincide
@@ -92,6 +93,8 @@ def prepare_block(points: Floats, block: KindBlock) -> RestBlock:
         gradients[part] = np.swapaxes(flat.reshape(len(X), c, k), 1, 2)
         if c > d:
             normals[part] = shares[:, :, None] * np.cross(J[..., 0], J[..., 1])
+    if block.kind.is_linear_simplex and c == d:  # the same to rounding, but with the bits of a mesh of simplices
+        gradients = compute_shape_gradients(points, block.connectivity)
     return RestBlock(block, samples, derivatives, volumes, inverse, gradients, normals)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.mesh.faceted import FacetedCells
 
-_DEGENERATE = 1e-9  # of the largest piece, as for cells with shape functions
+_DEGENERATE = 1e-3  # of the largest piece: flatter ones turn over long before the cell does
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -23,6 +23,12 @@ def edge_matrices(points: Floats, cells: Ints) -> Floats:
     return np.swapaxes(points[cells[:, 1:]] - points[cells[:, :1]], 1, 2)
 
 
+def compute_shape_gradients(points: Floats, cells: Ints) -> Floats:
+    """Return grad N_a (e, d + 1, d) [1/m] of cells that are not flat."""
+    inverse = np.linalg.inv(edge_matrices(points, cells))
+    return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+
+
 def signed_volumes(points: Floats, cells: Ints) -> Floats:
     """Return det D / d! (e,): volumes [m3], or areas [m2] for triangles; negative if inverted.
 
@@ -109,8 +115,7 @@ class Mesh:
     @cached_property
     def shape_gradients(self) -> Floats:
         """Return grad N_a (e, d + 1, d) [1/m]: the rows of Dm^-1, and minus their sum for the first vertex."""
-        inverse = np.linalg.inv(edge_matrices(self.points, self.cells))
-        return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+        return compute_shape_gradients(self.points, self.cells)
 
     @cached_property
     def centers(self) -> Floats:
