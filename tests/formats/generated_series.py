@@ -6,7 +6,8 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 
-from tests.formats.generated_content import PLAIN_NAMES, Content, make_content, make_fields
+from tests.formats.generated_content import PLAIN_NAMES, Content, make_content, make_fields, make_tetrahedra
+from tests.formats.generated_vtk import VtuWriter
 
 _XDMF_KINDS = {5: "Triangle", 9: "Quadrilateral", 10: "Tetrahedron", 12: "Hexahedron", 13: "Wedge", 14: "Pyramid",
                22: "Tri_6", 24: "Tet_10", 25: "Hex_20"}  # fmt: skip
@@ -201,3 +202,29 @@ def _write_steps(root, times: list[float], points: int, fields: dict[str, int]) 
     steps["ConnectivityIdOffsets"] = np.zeros((count, 1), dtype=np.int64)
     for name, size in fields.items():
         steps[f"PointDataOffsets/{name}"] = size * np.arange(count)
+
+
+def write_index(random: np.random.Generator, path: Path) -> Steps:
+    """A .pvd of numbered files in any order, with times, paths and attributes as many programs write them."""
+    count = int(random.integers(1, 6))
+    times = np.sort(random.choice(1000, size=count, replace=False) / 64).tolist()
+    folder = str(random.choice(["", "vtu/", "./", "vtu\\"]))
+    rows, contents = [], []
+    for k, time in enumerate(times):
+        content = make_tetrahedra(random)
+        contents.append(content)
+        name = f"{folder}f_{k}.vtu"
+        file = path.parent / name.replace("\\", "/")
+        file.parent.mkdir(exist_ok=True)
+        VtuWriter(random).write(file, [content])
+        text = str(
+            random.choice([repr(time), f"{time:.10e}", f"{time:.10E}".replace("E", "D"), repr(time).replace(".", ",")])
+        )
+        attributes = [("timestep", text), ("file", name)]
+        attributes += [("group", ""), ("part", "0")][: int(random.integers(3))]
+        attributes = [attributes[i] for i in random.permutation(len(attributes))]
+        rows.append("<DataSet " + " ".join(f'{key}="{value}"' for key, value in attributes) + "/>")
+    shuffled = [rows[i] for i in random.permutation(count)]
+    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n<Collection>\n'
+    path.write_text(head + "\n".join(shuffled) + "\n</Collection>\n</VTKFile>\n")
+    return Steps(times, contents)

@@ -306,3 +306,21 @@ def write_pvtu(random: np.random.Generator, path: Path) -> Content:
         + f"{sources}</PUnstructuredGrid>\n</VTKFile>\n"
     )
     return join_contents(contents)
+
+
+def write_vtm(random: np.random.Generator, path: Path) -> Content:
+    """A file of one to three blocks."""
+    import vtk
+
+    first = make_content(random, names=NO_MARKUP)
+    contents = [first, *(_make_alike(random, first) for _ in range(int(random.integers(0, 3))))]
+    blocks = vtk.vtkMultiBlockDataSet()
+    for k, content in enumerate(contents):
+        blocks.SetBlock(k, make_vtk_grid(content))
+        blocks.GetMetaData(k).Set(vtk.vtkCompositeDataSet.NAME(), f"block {k}")
+    writer = vtk.vtkXMLMultiBlockDataWriter()
+    writer.SetInputData(blocks)
+    set_layout(writer, random)
+    writer.SetFileName(str(path))
+    writer.Write()
+    return join_contents(contents)

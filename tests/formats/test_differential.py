@@ -16,6 +16,7 @@ from pipeline.errors import SeriesError
 from pipeline.formats.sandbox import SHARED_READER
 from pipeline.formats.vtu_read import read_inline
 from pipeline.series.frame_files import read_grid, read_times
+from pipeline.series.listing import list_frames
 from tests.formats import generated_series as S
 from tests.formats import generated_vtk as V
 from tests.formats.generated_content import Content, find_difference
@@ -32,6 +33,8 @@ KINDS: dict[str, tuple[str, Write, float]] = {
     "pvtu": (".pvtu", V.write_pvtu, 0.08),
     "xdmf": (".xdmf", S.write_xdmf, 0.1),
     "vtkhdf": (".vtkhdf", S.write_vtkhdf, 0.03),
+    "vtm": (".vtm", V.write_vtm, 0.03),
+    "index": (".pvd", S.write_index, 0.03),
 }
 BATCH = 50
 
@@ -48,11 +51,26 @@ def compare(path: Path, expected: Content | S.Steps) -> str:
     """The first difference between a file and what it must give; empty if there is none."""
     if isinstance(expected, Content):
         return find_difference(read_grid(path), expected)
-    if read_times(path) != expected.times:
-        return f"times {read_times(path)} instead of {expected.times}"
+    if path.suffix == ".pvd":
+        return compare_index(path, expected)
+    times = list(read_times(path).values)
+    if times != (expected.times or []):
+        return f"times {times} instead of {expected.times}"
     for k, content in enumerate(expected.contents):
         if difference := find_difference(read_grid(path, k), content):
             return f"step {k}: {difference}"
+    return ""
+
+
+def compare_index(path: Path, expected: S.Steps) -> str:
+    """The first difference between the frames of an index and what they must give."""
+    members = list_frames(path, strict=True).members
+    times = [member.time for member in members]
+    if times != expected.times:
+        return f"times {times} instead of {expected.times}"
+    for member, content in zip(members, expected.contents, strict=True):
+        if difference := find_difference(read_grid(member.file, member.step), content):
+            return f"{member.file.name}: {difference}"
     return ""
 
 
