@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.errors import SeriesError, join_names, shorten
-from pipeline.formats.grid import Grid, describe_arrays
+from pipeline.formats.grid import Grid
 from pipeline.series.vector_fields import VectorField, find_flow_fields, find_vector_fields, select_named_field
 
 _LOOKED_AT = 1_000_000  # points of all frames that are looked at when a series is opened
@@ -102,7 +102,9 @@ def weigh_evidence(sample: Sample, reference: Floats | None, total: int) -> Evid
     x0 = first.points if reference is None else reference
     motions = dict[str, FieldMotion]()
     moves, last, names = 0.0, (-2, x0), set[str]()
-    rounding = max(_find_rounding(grid) for _, grid in sample)
+    single = all(is_single(grid) for _, grid in sample)
+    largest = max(_find_largest(grid.points) for _, grid in sample)
+    rounding = (_ROUNDING_SINGLE if single else _ROUNDING) * largest
     for index, grid in sample:
         names |= set(grid.point_data)
         x = grid.points
@@ -140,18 +142,11 @@ def _find_largest(values: Floats) -> float:
     return float(finite.max(initial=0.0))
 
 
-def _find_rounding(grid: Grid) -> float:
-    """Return the rounding of the coordinates of a grid [m]."""
-    single = is_single(grid)
-    return (_ROUNDING_SINGLE if single else _ROUNDING) * _find_largest(grid.points)
-
-
 def is_single(grid: Grid) -> bool:
-    """Return whether the points are stored in single precision."""
-    stored = grid.stored_points
-    if isinstance(stored, np.ndarray):
-        return stored.dtype.itemsize == 4
-    return describe_arrays(stored)["Points"][0].itemsize == 4
+    """Return whether all coordinates are numbers of single precision, however they are stored."""
+    points = grid.points
+    with np.errstate(over="ignore"):
+        return np.array_equal(points.astype(np.float32), points, equal_nan=True)
 
 
 def choose_displacement(

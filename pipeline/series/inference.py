@@ -35,6 +35,7 @@ from pipeline.series.layout import Options, SeriesLayout
 from pipeline.series.rest_mesh import RestMesh, build_rest_mesh, find_normal
 from pipeline.series.rest_state import RestPositions, find_rest_state, read_reference
 
+_ODD = 0.1  # of the coordinates: a number that was rounded has an odd last digit in every second case
 _PRECISE = 1e-4  # of a cell's size: coarser coordinates deserve a note
 
 
@@ -133,6 +134,9 @@ def _note_precision(first: Grid, built: RestMesh, evidence: Evidence) -> list[st
     mesh = built.mesh
     largest = float(np.abs(mesh.points).max(initial=0.0))
     spacing = float(np.spacing(np.float32(largest)))
+    far = mesh.points[np.abs(mesh.points) > largest / 2] / spacing
+    if not len(far) or (np.mean(far % 2 == 1) < _ODD and np.mean(far % 1 != 0) < _ODD):
+        return []  # round numbers, such as 450000.0, are exact in single precision too
     size = float(np.median(mesh.rest_volumes)) ** (1 / mesh.dimension)
     if spacing <= _PRECISE * size:
         return []
