@@ -72,6 +72,11 @@ def make_refusal(program, series, text):
     return {"program": program, "series": series, "refused": text}
 
 
+def make_note(program, series, text):
+    """Return an entry for a series that opens as a body at rest, with a note that has the text (a regex)."""
+    return {"program": program, "series": series, "noted": text}
+
+
 def digits(values):
     """Return nested lists of the values with eleven significant digits."""
     return np.vectorize(lambda v: float(f"{v:.11g}"))(np.asarray(values, dtype=float)).tolist()

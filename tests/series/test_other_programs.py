@@ -5,6 +5,7 @@ own arrays. Cells are matched by the means of their corners at rest.
 """
 
 import json
+import re
 import resource
 import tracemalloc
 from pathlib import Path
@@ -37,16 +38,14 @@ KINDS = {
 }
 CORNERS = {kind: n for n, kinds in KINDS.items() for kind in kinds}
 # Entries that are not read rightly yet, with the reason.
-FAULTS: dict[str, str] = {}
-WAITING = True  # cells other than linear simplices are not measured yet
+FAULTS = {"openfoam/solid/solid.foam": "a displacement of cells only is not named"}
 
 
 def list_entries():
     for path in sorted(PROGRAMS.rglob("expected.json")):
         for entry in json.loads(path.read_text()):
             name = f"{path.parent.relative_to(PROGRAMS).as_posix()}/{entry['series']}"
-            faulty = WAITING or name in FAULTS
-            marks = [pytest.mark.xfail(reason=FAULTS.get(name, "not yet"), strict=not WAITING)] if faulty else []
+            marks = [pytest.mark.xfail(reason=FAULTS[name], strict=True)] if name in FAULTS else []
             yield pytest.param(path.parent, entry, id=name, marks=marks)
 
 
@@ -63,6 +62,10 @@ def test_the_numbers_are_those_of_the_program(folder, entry):
     if "refused" in entry:
         with pytest.raises(SeriesError, match=entry["refused"]):
             read_series(folder / entry["series"], **entry.get("options", {}))
+        return
+    if "noted" in entry:
+        notes = read_series(folder / entry["series"]).notes
+        assert any(re.search(entry["noted"], note) for note in notes), notes
         return
     series = read_series(folder / entry["series"], **entry.get("options", {}))
     tolerance = entry.get("accuracy", 1e-8)

@@ -83,7 +83,8 @@ def run(name, kinds):
             parts.append(integrate_cells(shape, X, x, rows))
         results.append([np.concatenate(arrays) for arrays in zip(*parts, strict=True)])
     return make_expectation(f"exovista {version('exovista')}", name, TIMES, centers=centers, rest_volumes=results[0][0],
-                            volumes=[r[1] for r in results], gradients=[r[2] for r in results], accuracy=1e-6)  # fmt: skip
+                            volumes=[r[1] for r in results], gradients=[r[2] for r in results],
+                            accuracy=1e-6)  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import numpy as np
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
-from expected import make_expectation, make_refusal, write_expected  # noqa: E402
+from expected import make_expectation, make_note, write_expected  # noqa: E402
 from quadrature import integrate_cells  # noqa: E402
 
 N = (4, 2, 2)
@@ -165,7 +165,7 @@ def main():
     cells = make_cells()
     moved = [read_points(f / "polyMesh" / "points") if (f / "polyMesh" / "points").exists() else rest for f in folders]
     results = [integrate_cells("hexahedron", rest, x, cells) for x in moved]
-    solid = make_refusal("OpenFOAM 1912", "solid/solid.foam", "cell")  # the only displacement is that of the cells
+    solid = make_note("OpenFOAM 1912", "solid/solid.foam", r"cell field D\b.*points")
     write_expected(
         HERE,
         solid,
@@ -179,7 +179,7 @@ def main():
                 rest_volumes=results[0][0],
                 volumes=[r[1] for r in results],
                 gradients=[r[2] for r in results],
-                accuracy=2e-6,
+                accuracy=2e-6 if "foam" in series else 2e-5,  # their other writers give six digits
             )
             for series in ("twist/twist.foam", "vtk/twist.vtm.series", "ensight/twist.case")
         ),

@@ -1,6 +1,6 @@
 """Files of OpenSees 3.8: a bar of 8-node bricks, stretched and twisted; .pvd and .vtu of its PVD recorder.
 
-    pip install openseespy;  python make.py
+pip install openseespy;  python make.py
 """
 
 import os
