@@ -1,4 +1,4 @@
-"""`pipeline schema`: the reference of case files."""
+"""`pipeline schema` and `pipeline formats`: the reference of case files, and of the files of series."""
 
 import argparse
 import json
@@ -8,12 +8,15 @@ from pipeline.cli.options import SharedOptions
 
 
 def add_verbs(verbs: Any, shared: SharedOptions) -> None:
-    """Add the verb `schema`."""
+    """Add the verbs `schema` and `formats`."""
     schema = verbs.add_parser(
         "schema", parents=[shared.common], help="print the JSON Schema of case files, for editors"
     )
     schema.add_argument("--markdown", action="store_true", help="print tables of all keys and choices instead")
     schema.set_defaults(run=_schema)
+    formats = verbs.add_parser("formats", parents=[shared.common], help="list the files that series are read from")
+    formats.add_argument("--json", action="store_true", help="print them as JSON")
+    formats.set_defaults(run=_formats)
 
 
 def _schema(options: argparse.Namespace) -> int:
@@ -23,4 +26,12 @@ def _schema(options: argparse.Namespace) -> int:
         print(f"{key_table()}\n{choice_table()}", end="")
     else:
         print(json.dumps(case_schema(), indent=2))
+    return 0
+
+
+def _formats(options: argparse.Namespace) -> int:
+    from pipeline.formats.format_table import encode_table, list_rows
+
+    rows = list_rows()
+    print(json.dumps([row._asdict() for row in rows], indent=2) if options.json else encode_table(rows), end="\n")
     return 0

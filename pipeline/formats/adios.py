@@ -1,5 +1,6 @@
 """ADIOS2 folders (.bp) as dolfinx's VTXWriter writes them: the attribute vtk.xml names the variables of a VTK grid."""
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from pipeline.formats.grid import Grid
 
 _TIME = "TIME"  # the field of the layout that names the variable of the time
 _GHOSTS = "vtkGhostType"
+_COLORS = re.compile(r"\x1b\[\d*m")  # of adios2's messages
 
 
 class _Layout:
@@ -72,7 +74,7 @@ def _open(folder: Path) -> Iterator[tuple[Any, _Layout, int]]:
                 raise ValueError("it has no attribute vtk.xml (dolfinx: write it with VTXWriter)")
             yield file, _Layout(str(file.read_attribute("vtk.xml"))), int(file.num_steps())
     except (ValueError, KeyError, IndexError, RuntimeError, OSError, TypeError, ET.ParseError) as error:
-        raise SeriesError(f"{folder}: cannot be read: {shorten(' '.join(str(error).split()), 300)}") from error
+        raise SeriesError(f"{folder}: cannot be read: {shorten(' '.join(_COLORS.sub('', str(error)).split()), 300)}") from error
 
 
 def _read_block(file: Any, layout: _Layout, step: int, block: int) -> Grid:

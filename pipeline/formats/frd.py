@@ -42,7 +42,7 @@ class _Block(NamedTuple):
     analysis: int = 0
 
 
-class _Content(NamedTuple):
+class _FrdContent(NamedTuple):
     """A file's bytes and blocks; `steps` has the number of each complete step."""
 
     raw: bytes
@@ -86,7 +86,7 @@ def read_frd_times(file: Path) -> list[float] | None:
 
 
 @lru_cache(maxsize=2)
-def _open(file: Path, _modified: int) -> _Content:
+def _open(file: Path, _modified: int) -> _FrdContent:
     raw = file.read_bytes().replace(b"\r\n", b"\n") if _is_text(file) else file.read_bytes()
     if not raw.startswith(b"    1C"):
         raise ValueError("it does not begin with 1C, as CalculiX's results do")
@@ -111,7 +111,7 @@ def _open(file: Path, _modified: int) -> _Content:
         steps.pop()
     if any(block.analysis == _MODES for block in blocks):
         notes.append("its steps are vibration modes: the times are frequencies")
-    return _Content(raw, tuple(blocks), tuple(steps), tuple(notes))
+    return _FrdContent(raw, tuple(blocks), tuple(steps), tuple(notes))
 
 
 def _is_text(file: Path) -> bool:
@@ -171,7 +171,7 @@ def _skip_elements(raw: bytes, place: int, count: int) -> int:
     return place
 
 
-def _find_only(content: _Content, kind: str) -> _Block:
+def _find_only(content: _FrdContent, kind: str) -> _Block:
     blocks = [block for block in content.blocks if block.kind == kind]
     if len(blocks) != 1:
         raise ValueError(f"it has {len(blocks)} blocks {kind}, not one")
@@ -226,7 +226,7 @@ def _find_nodes(numbers: Ints, ids: Ints, order: Ints) -> Ints:
     return places
 
 
-def _read_elements(content: _Content, ids: Ints, order: Ints) -> tuple[tuple[NDArray[np.uint8], Ints, Ints], Ints]:
+def _read_elements(content: _FrdContent, ids: Ints, order: Ints) -> tuple[tuple[NDArray[np.uint8], Ints, Ints], Ints]:
     """Return the cells in VTK's layout, and the number of each element."""
     block = _find_only(content, "3C")
     rows = _list_binary(content.raw, block) if block.form >= 2 else _list_text(content.raw, block)
