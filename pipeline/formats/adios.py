@@ -74,7 +74,9 @@ def _open(folder: Path) -> Iterator[tuple[Any, _Layout, int]]:
                 raise ValueError("it has no attribute vtk.xml (dolfinx: write it with VTXWriter)")
             yield file, _Layout(str(file.read_attribute("vtk.xml"))), int(file.num_steps())
     except (ValueError, KeyError, IndexError, RuntimeError, OSError, TypeError, ET.ParseError) as error:
-        raise SeriesError(f"{folder}: cannot be read: {shorten(' '.join(_COLORS.sub('', str(error)).split()), 300)}") from error
+        raise SeriesError(
+            f"{folder}: cannot be read: {shorten(' '.join(_COLORS.sub('', str(error)).split()), 300)}"
+        ) from error
 
 
 def _read_block(file: Any, layout: _Layout, step: int, block: int) -> Grid:

@@ -41,7 +41,7 @@ def _use_vtk(names: str, description: str, reader: VtkReader, programs: str = ""
     return FrameReader(tuple(names.split()), description, reader.read, reader.read_times, programs=programs, **more)
 
 
-def _use_pieces(names: str, description: str, programs: str) -> FrameReader:
+def _use_pieces(names: str, description: str, programs: str, tested: str) -> FrameReader:
     """Return the row of files that name others, each of which has a row of its own."""
 
     def read(file: Path, _step: int) -> Grid:
@@ -51,38 +51,55 @@ def _use_pieces(names: str, description: str, programs: str) -> FrameReader:
         first = find_first_piece(file)
         return list(read_own_times(file)) or (None if first is None else read_times(first))
 
-    return FrameReader(tuple(names.split()), description, read, read_own_or_first, programs=programs, spread=True)
+    return FrameReader(
+        tuple(names.split()), description, read, read_own_or_first, False, programs, spread=True, tested=tested
+    )
 
 
 _XML_NAMES = {
     ".vtu": "VTK unstructured grid", ".vtp": "VTK surface", ".vts": "VTK structured grid",
     ".vtr": "VTK rectilinear grid", ".vti": "VTK image",
 }  # fmt: skip
+_XML_TESTS = {".vtu": "scikit-fem, deal.II, NGSolve, GetFEM, FreeFEM, FEniCS"}
 FORMATS = (
-    *(_use_vtk(suffix, _XML_NAMES[suffix], reader, "most solvers") for suffix, reader in XML_READERS.items()),
-    _use_pieces(".pvtu .pvtp", "VTK grid or surface in pieces", "parallel solvers"),
-    _use_pieces(".vtm .vtmb", "VTK blocks", "OpenFOAM, ParaView, PyVista"),
-    _use_pieces(".vtpd .vtpc", "VTK partitions", "VTK, ParaView"),
-    FrameReader((".vtk",), "VTK legacy", LEGACY.read, read_legacy_times, programs="Kratos, SfePy, SOFA"),
-    _use_vtk(".vtkhdf .hdf", "VTKHDF", VTKHDF, "VTK, ParaView, this program", has_steps=True),
+    *(
+        _use_vtk(suffix, _XML_NAMES[suffix], reader, "most solvers", tested=_XML_TESTS.get(suffix, "PyVista"))
+        for suffix, reader in XML_READERS.items()
+    ),
+    _use_pieces(".pvtu .pvtp", "VTK grid or surface in pieces", "parallel solvers", tested="dolfinx, MFEM"),
+    _use_pieces(".vtm .vtmb", "VTK blocks", "OpenFOAM, ParaView, PyVista", tested="OpenFOAM"),
+    _use_pieces(".vtpd .vtpc", "VTK partitions", "VTK, ParaView", tested="VTK"),
+    FrameReader(
+        (".vtk",), "VTK legacy", LEGACY.read, read_legacy_times, programs="Kratos, SfePy, SOFA",
+        tested="Kratos, GetFEM",
+    ),
+    _use_vtk(".vtkhdf .hdf", "VTKHDF", VTKHDF, "VTK, ParaView, this program", has_steps=True, tested="VTK"),
     FrameReader(
         (".xdmf", ".xmf"), "XDMF 2 and 3", read_xdmf, read_xdmf_times, has_steps=True,
         programs="FEniCS, felupe, scikit-fem, OpenGeoSys", package="h5py", spread=True,
+        tested="dolfinx, FEniCS, felupe, scikit-fem, OpenGeoSys, meshio",
     ),
-    _use_vtk(".e .ex2 .exo .exodus", "Exodus II", EXODUS, "MOOSE, Sierra, Cubit, libMesh", has_steps=True),
-    _use_vtk(".case .encas", "EnSight", ENSIGHT, "Ansys, STAR-CCM+, Code_Saturne", has_steps=True, spread=True),
+    _use_vtk(".e .ex2 .exo .exodus", "Exodus II", EXODUS, "MOOSE, Sierra, Cubit", has_steps=True, tested="exovista"),
+    _use_vtk(
+        ".case .encas", "EnSight", ENSIGHT, "Ansys, STAR-CCM+, Code_Saturne", has_steps=True, spread=True,
+        tested="OpenFOAM",
+    ),
     _use_vtk("d3plot", "LS-DYNA d3plot", DYNA, "LS-DYNA", has_steps=True, spread=True),
-    _use_vtk(".foam", "OpenFOAM case", OPENFOAM, "OpenFOAM, solids4foam", has_steps=True, spread=True),
+    _use_vtk(
+        ".foam", "OpenFOAM case", OPENFOAM, "OpenFOAM, solids4foam", has_steps=True, spread=True, tested="OpenFOAM"
+    ),
     _use_vtk(".cgns", "CGNS", CGNS, "CFD programs", has_steps=True),
     FrameReader(
         (".med", ".rmed"), "MED", read_med, read_med_times, has_steps=True, programs="Code_Aster, Salome",
-        package="h5py",
+        package="h5py", tested="medcoupling",
     ),
     FrameReader(
         (".bp",), "ADIOS2, as VTX", read_bp, read_bp_times, has_steps=True, programs="dolfinx (VTXWriter)",
-        package="adios2", spread=True,
+        package="adios2", spread=True, tested="adios2",
     ),
-    FrameReader((".frd",), "CalculiX results", read_frd, read_frd_times, has_steps=True, programs="CalculiX"),
+    FrameReader(
+        (".frd",), "CalculiX results", read_frd, read_frd_times, has_steps=True, programs="CalculiX", tested="CalculiX"
+    ),
 )  # fmt: skip
 READERS = {name: row for row in FORMATS for name in row.names}
 SUFFIXES = tuple(name for name, row in READERS.items() if not row.has_steps)

@@ -20,6 +20,7 @@ GIGABYTES = "PIPELINE_READER_GIGABYTES"  # environment variable: memory for a fi
 # a file of 1 M tetrahedra with 20 fields takes about 1 GB to read; compressed files take many times their size
 _LEAST_BYTES, _BYTES_PER_BYTE = 2 * 10**9, 40
 _LEAST_SECONDS, _BYTES_PER_SECOND = 20.0, 10**6
+_SPREAD = frozenset({".xdmf", ".xmf", ".case", ".encas", ".foam", ".bp", "d3plot"})  # their numbers are in other files
 
 
 class Reader:
@@ -37,7 +38,7 @@ class Reader:
         child dies, or reading takes too much memory or time.
         """
         path = file.absolute()  # the child may have been started in another folder
-        size = path.stat().st_size if path.exists() else 0
+        size = _measure_files(path)
         memory, seconds = _memory_limit(size), _LEAST_SECONDS + size / _BYTES_PER_SECOND
         with self._lock:
             kind, answer = self._ask((function, (path, *arguments), memory, seconds), file, error)
@@ -107,6 +108,20 @@ def _share(reader: Reader) -> Reader:
 
 
 SHARED_READER = _share(Reader())
+
+
+def _measure_files(path: Path) -> int:
+    """Return how many bytes reading a file may concern: also those of files beside it that hold its numbers."""
+    if path.is_file() and path.suffix.lower() not in _SPREAD and path.name not in _SPREAD:
+        return path.stat().st_size
+    if not path.exists():
+        return 0
+    folder = path if path.is_dir() else path.parent
+    deep = path.is_dir() or path.suffix.lower() in (".foam", ".case")
+    try:
+        return sum(file.stat().st_size for file in (folder.rglob("*") if deep else folder.iterdir()) if file.is_file())
+    except OSError:  # files that vanish meanwhile
+        return path.stat().st_size
 
 
 def _memory_limit(size: int) -> int:
