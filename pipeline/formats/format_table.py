@@ -10,7 +10,7 @@ from pipeline.formats.readers import FORMATS
 class FormatRow(NamedTuple):
     """One format: suffixes or names, steps in a file ("one", "many", "list"), programs, and how it was tested."""
 
-    names: str
+    names: tuple[str, ...]
     format: str
     steps: str
     written_by: str
@@ -25,12 +25,14 @@ _HEAD = ("file", "format", "steps", "written by", "tested with files of", "needs
 def list_rows() -> list[FormatRow]:
     """Return a row for each format."""
     lists = [
-        FormatRow(".pvd", "list of files", "list", "most solvers", "dolfinx, deal.II, MFEM, NGSolve, FEniCS", "", True),
-        FormatRow(".series", "list of files (JSON)", "list", "ParaView, OpenFOAM", "OpenFOAM", "", True),
+        FormatRow(
+            (".pvd",), "list of files", "list", "most solvers", "dolfinx, deal.II, MFEM, NGSolve, FEniCS", "", True
+        ),
+        FormatRow((".series",), "list of files (JSON)", "list", "ParaView, OpenFOAM", "OpenFOAM", "", True),
     ]
     rows = [
         FormatRow(
-            " ".join(row.names), row.description, "many" if row.has_steps else "one", row.programs,
+            row.names, row.description, "many" if row.has_steps else "one", row.programs,
             row.tested or "none: written by hand", row.package, not row.package or find_spec(row.package) is not None,
         )
         for row in FORMATS
@@ -40,7 +42,10 @@ def list_rows() -> list[FormatRow]:
 
 def encode_table(rows: Sequence[FormatRow]) -> str:
     """Return the rows as lines of text in columns; a package that is not installed is marked."""
-    cells = [(*row[:5], row.needs if row.installed else f"{row.needs} (pip install {row.needs})") for row in rows]
+    cells = [
+        (" ".join(row.names), *row[1:5], row.needs if row.installed else f"{row.needs} (pip install {row.needs})")
+        for row in rows
+    ]
     widths = [max(len(line[i]) for line in (_HEAD, *cells)) for i in range(len(_HEAD))]
     lines = ("  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)) for line in (_HEAD, *cells))
     return "\n".join(line.rstrip() for line in lines)

@@ -119,7 +119,12 @@ def _measure_files(path: Path) -> int:
     folder = path if path.is_dir() else path.parent
     deep = path.is_dir() or path.suffix.lower() in (".foam", ".case")
     try:
-        return sum(file.stat().st_size for file in (folder.rglob("*") if deep else folder.iterdir()) if file.is_file())
+        # perhaps only some of them are read
+        return (
+            path.stat().st_size
+            + sum(file.stat().st_size for file in (folder.rglob("*") if deep else folder.iterdir()) if file.is_file())
+            // 5
+        )
     except OSError:  # files that vanish meanwhile
         return path.stat().st_size
 

@@ -180,7 +180,7 @@ def test_wrong_usage_exits_with_two_and_shows_the_usage(capfd, arguments):
     assert caught.value.code == 2 and "usage: pipeline" in capfd.readouterr().err
 
 
-VERBS = "run check movie reproduce methods analyze compare report view schema".split()
+VERBS = "run check movie reproduce methods analyze compare report view schema formats".split()
 
 
 @pytest.mark.parametrize("verb", [[name] for name in VERBS] + [["study", name] for name in STUDIES], ids=" ".join)
