@@ -35,7 +35,7 @@ _OTHER_SHORT = {"v", "a", "f_ext", "fext", "fint", "rf", "n", "nu", "t", "p", "v
 _FLOW = re.compile(
     r"p|p_rgh|pressure|pressione|druck|nut|nutilda|k|omega|epsilon|rho|phi|alpha\..*|wallshearstress|mach"
 )
-_AXES = (("x", "y", "z"), ("1", "2", "3"), ("0", "1", "2"))
+_AXES = (("x", "y", "z"), ("0", "1", "2"), ("1", "2", "3"))
 
 
 @dataclass(frozen=True)
