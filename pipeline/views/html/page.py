@@ -156,6 +156,9 @@ def _describe(label: str, curves: Curves, worst: WorstCell) -> str:
 def _list_extremes(curves: Curves) -> tuple[str, ...]:
     (low, high), total = curves["bands"][0], _keep_finite(curves["total"])
     percent = [f"{value:.4g} %" for value in (total.min(), total.max(), total[-1])]
+    known = [t for t, value in zip(curves["times"], curves["total"], strict=True) if value is not None]
+    if known and known[-1] != curves["times"][-1]:
+        percent[-1] += f" at t = {known[-1]:.4g} s"
     return f"{_keep_finite(low).min():.4g}", f"{_keep_finite(high).max():.4g}", *percent
 
 

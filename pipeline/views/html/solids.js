@@ -83,7 +83,7 @@
       const ended = index === this.body.times.length - 1 && t > shown * (1 + 1e-9) + 1e-12;
       const frameTime = report.formatTime(shown) === report.formatTime(t) ? "" : ended ? ` (ends at ${report.formatTime(shown)})` : ` (${report.formatTime(shown)})`;
       const gap = this.body.gaps ? this.body.gaps[index] : null;
-      const lost = gap === null ? "" : `, no cell data from t = ${report.formatTime(gap)}`;
+      const lost = gap === null ? "" : `, no cell data from ${report.formatTime(gap)}`;
       this.caption.textContent = this.body.label + frameTime + lost;
       if (this.k3d && index !== this.shown) this.k3d.setTime(index);
       this.shown = index;
