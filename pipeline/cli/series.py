@@ -55,12 +55,11 @@ def _read(options: argparse.Namespace, path: str) -> Series:
 
 def _analyze(options: argparse.Namespace) -> int:
     from pipeline.results.analysis_folder import analyze
-    from pipeline.results.reading_text import describe_reading
 
     series = _read(options, options.series)
     options.out = options.out or _FOLDER / series.name
     if not options.quiet:
-        print(*describe_reading(series), sep="\n", flush=True)
+        print(series.describe_decisions(), flush=True)
     with show_progress(options.quiet) as bar:
         analysis = analyze(
             series, options.out, movie=options.movie, on_frame=bar.show_reading, on_drawing=bar.show_picture

@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.formats.grid import Grid
 from pipeline.mesh.cell_mesh import measure_volumes
+from pipeline.mesh.cell_text import describe_cells
 from pipeline.series.arrangement import (
     Arrangement,
     IdTable,
@@ -119,8 +120,8 @@ def _join(
     ids = find_ids(first, built.arrangement, built.mesh.cell_array, use=not ours)
     mesh = built.mesh
     notes = (*built.notes, *choice.notes, *rest.notes, *_note_precision(first, built, evidence))
-    cells = ", ".join(f"{count} {name}" for name, count in built.counts.items())
-    decisions = Decisions(choice.text, rest.text, f"{cells} in {mesh.dimension}D", left_out=built.left_out)
+    cells = f"{describe_cells([mesh])} in {mesh.dimension}D"
+    decisions = Decisions(choice.text, rest.text, cells, left_out=built.left_out)
     own_points = not ours and len(mesh.points) == len(mesh.cell_array.connectivity) and len(mesh.cell_array.types) > 1
     return SeriesLayout(
         mesh, built.arrangement, choice, bare, ids, notes, decisions, evidence.rounding, own_points, trusted=ours

@@ -6,11 +6,11 @@ import pytest
 from pipeline.formats.grid import CellArray, PolyhedronFaces
 from pipeline.mesh.cell_kinds import TYPES
 from pipeline.mesh.cell_mesh import CellMesh
+from pipeline.mesh.cell_text import describe_cells
 from pipeline.mesh.shape_functions import make_kind
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.skin import find_skin
 from pipeline.mesh.surface import find_boundary_faces
-from pipeline.views.cell_text import describe_cells
 
 KINDS = [(number, count, name) for number, row in TYPES.items() for count, name in row.kinds.items()]
 

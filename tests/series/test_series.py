@@ -292,7 +292,7 @@ def test_cells_of_lower_dimension_are_counted_and_all_others_measured(tmp_path):
     assert ratio[0] == pytest.approx(1.25**3) and ratio[1:] == pytest.approx((1 + GROWTH * 0.25) ** 3)
     assert any("no volume): 2 line, 1 triangle" in note for note in series.notes), series.notes
     assert any("1 points that belong to no measured cell" in note for note in series.notes)
-    assert f"{len(CELLS)} tetrahedron, 1 hexahedron in 3D" == series.describe_decisions().cells
+    assert f"{len(CELLS)} tetrahedra and 1 hexahedron in 3D" == series.describe_decisions().cells
     for i, t in enumerate(TIMES):
         meshio.write(tmp_path / f"f{i}.vtu", meshio.Mesh(hexahedron * (1 + t), [("line", [[0, 1], [1, 2]])]))
     with pytest.raises(SeriesError, match="no cells with a volume or an area, but 2 line"):

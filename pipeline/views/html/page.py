@@ -14,8 +14,8 @@ import numpy as np
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.netcdf import open_dataset
 from pipeline.mesh.body_mesh import BodyMesh
+from pipeline.mesh.cell_text import describe_cells
 from pipeline.series import Series
-from pipeline.views.cell_text import describe_cells
 from pipeline.views.html.blocks import (
     Block,
     Heading,
