@@ -20,18 +20,21 @@ from pipeline.formats.vtu_read import NUMPY_TYPES
 
 _TYPE_NAMES = {dtype: name for name, dtype in NUMPY_TYPES.items()}
 _HEAD = (
-    b'<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" '
-    b'header_type="UInt64" compressor="vtkZLibDataCompressor">\n<UnstructuredGrid>\n'
+    '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="{}" byte_order="LittleEndian" '
+    'header_type="UInt64" compressor="vtkZLibDataCompressor">\n<UnstructuredGrid>\n'
 )
+# readers turn Lagrange hexahedra of older versions into today's order of nodes, which is ours already
+_VERSION, _VERSION_OF_HEXAHEDRA, _LAGRANGE_HEXAHEDRON = "1.0", "2.2", 72
 _TAIL = b"</Piece>\n</UnstructuredGrid>\n</VTKFile>\n"
 
 
 class StaticParts(NamedTuple):
-    """The parts that all frames share, encoded: counts of points and cells, the cells, the rest positions."""
+    """The parts that all frames share, encoded: counts of points and cells, the cells, the rest positions, the head."""
 
     counts: tuple[int, int]
     cells: bytes
     rest: bytes
+    head: bytes = _HEAD.format(_VERSION).encode()
 
 
 def encode_static_parts(cells: CellArray, rest: NDArray[np.floating]) -> StaticParts:
@@ -44,7 +47,9 @@ def encode_static_parts(cells: CellArray, rest: NDArray[np.floating]) -> StaticP
     if cells.faces is not None:
         arrays |= _list_faces(cells.faces)
     encoded = _encode_element("Cells", (_encode_array(*item, static=True) for item in arrays.items()))
-    return StaticParts((len(rest), len(cells.types)), encoded, _encode_array("rest_position", rest, static=True))
+    version = _VERSION_OF_HEXAHEDRA if (cells.types == _LAGRANGE_HEXAHEDRON).any() else _VERSION
+    head = _HEAD.format(version).encode()
+    return StaticParts((len(rest), len(cells.types)), encoded, _encode_array("rest_position", rest, static=True), head)
 
 
 def _list_faces(faces: PolyhedronFaces) -> dict[str, NDArray[Any]]:
@@ -78,7 +83,7 @@ def encode_vtu(
     numbers = (_encode_array(name, value, tuples=len(value)) for name, value in field_data.items())
     return b"".join(
         (
-            _HEAD,
+            static.head,
             _encode_element("FieldData", numbers),
             '<Piece NumberOfPoints="{}" NumberOfCells="{}">'.format(*static.counts).encode(),
             _encode_element("PointData", [*(_encode_array(*item) for item in point_data.items()), static.rest]),

@@ -17,6 +17,7 @@ from pipeline.series.field_table import FieldForm, choose_frames, describe_missi
 from pipeline.series.frame_store import FieldColumn, FrameStore
 
 _HIDDEN = {("field", "TimeValue"), ("field", ATTRIBUTES)}  # they are the coordinate time, and the attributes
+_GHOSTS = "vtkGhostType"  # what it marks is left out of the mesh; in a file that we write, it would be again
 _PLACES = {"point": ("node",), "cell": ("cell",), "field": ()}
 _COMMENTS = {True: "the points of the files move", False: "the field {} of the files, which is added to the points"}
 
@@ -83,7 +84,9 @@ def _list_known(first: Grid) -> set[tuple[str, str]]:
 def _is_hidden(form: FieldForm, known: set[tuple[str, str]], displacement: str | None) -> bool:
     """Return whether a field is in the dataset anyway: as displacement, rest_position, time or attributes."""
     key = form.kind, form.source
-    return key in _HIDDEN or key == ("point", displacement) or (key in known and form.kind == "point")
+    if key in _HIDDEN or form.source == _GHOSTS:
+        return True
+    return key == ("point", displacement) or (key in known and form.kind == "point")
 
 
 def _sort_forms(forms: list[FieldForm]) -> list[FieldForm]:

@@ -59,7 +59,9 @@ def list_forms(frames: Iterable[tuple[str, Grid]]) -> tuple[list[FieldForm], lis
         text = f"the {KINDS[kind]} {shorten(name)}"
         strange = sorted({dtype.kind for _, dtype, _ in seen} - set("fiu"))
         other = next(((file, shape) for file, _, shape in seen if shape != seen[0][2]), None)
-        if strange:
+        if kind == "field" and seen[0][1] == np.int8 and seen[0][2] != ():
+            notes.append(f"{text} is left out: it holds characters")
+        elif strange:
             notes.append(f"{text} is left out: it holds {'texts' if set(strange) <= set('SUO') else 'no numbers'}")
         elif other:
             notes.append(
