@@ -100,15 +100,12 @@ class CellKind:
 
 def find_kind(cell_type: int, node_count: int) -> CellKind:
     """Return the kind of cells of a VTK type with that many nodes; raises MeshError if it has no shape functions."""
-    row = TYPES.get(int(cell_type))
-    if row is None or int(node_count) not in row.kinds:
-        faceted = row is not None and row.faceted
-        raise MeshError(
-            f"{row.name} (type {cell_type}) has no shape functions"
-            if row is not None and faceted
-            else explain_refusal(int(cell_type), int(node_count))
-        )
-    return make_kind(row.kinds[int(node_count)])
+    number, count = int(cell_type), int(node_count)
+    row = TYPES.get(number)
+    if row is not None and count in row.kinds:
+        return make_kind(row.kinds[count])
+    reason = explain_refusal(number, count)
+    raise MeshError(reason or f"cells of type {number} have faces, but no shape functions")
 
 
 @cache
@@ -162,10 +159,8 @@ def _build_simplex(order: int, rest: str, dimension: int) -> Build:
     places = place_in_simplex(order, dimension)
     nodes, modes = places / order, _complete(places, order)
     if rest != str(order):
-        faces = (
-            [(1, 1, 1)] if dimension == 2 else [(1, 1, 1, 0), (1, 1, 0, 1), (0, 1, 1, 1), (1, 0, 1, 1), (1, 1, 1, 1)]
-        )
-        bubbles = np.array(faces, dtype=np.int64)
+        solid = [(1, 1, 1, 0), (1, 1, 0, 1), (0, 1, 1, 1), (1, 0, 1, 1), (1, 1, 1, 1)]  # of faces, and inside
+        bubbles = np.array([(1, 1, 1)] if dimension == 2 else solid, dtype=np.int64)
         centers = bubbles[:, 1:] / bubbles.sum(axis=1, keepdims=True)
         nodes, modes = np.concatenate([nodes, centers]), np.concatenate([modes, bubbles])
     table = np.stack([_list_silvester(order)] * (dimension + 1))
@@ -215,24 +210,19 @@ _TERM = re.compile(r"([+-]?)(\d*)((?:[rsc]\d?)*)")
 def _build_pyramid(order: int, rest: str) -> Build:
     """Return a pyramid in collapsed coordinates."""
     base = place_in_cube(order, 2) / order
-    middle = 0.5
-    corners = np.column_stack([base[:4], np.zeros(4)])
-    nodes = [corners, [[middle, middle, 1.0]]]
+    nodes = [np.column_stack([base[:4], np.zeros(4)]), np.array([[0.5, 0.5, 1.0]])]
     if order == 2:
         edges = np.column_stack([base[[4, 5, 6, 7]], np.zeros(4)])
         nodes += [edges, np.column_stack([base[:4], np.full(4, 0.5)])]
     if rest == "2 with centers":
         # of the base, of the triangles, and of the whole
         sides = [[0.5, 0.0, 1 / 3], [1.0, 0.5, 1 / 3], [0.5, 1.0, 1 / 3], [0.0, 0.5, 1 / 3]]
-        nodes += [[[0.5, 0.5, 0.0]], sides, [[0.5, 0.5, 0.25]]]
+        nodes += [np.array([[0.5, 0.5, 0.0], *sides, [0.5, 0.5, 0.25]])]
     powers = np.indices((3, 3, 4)).reshape(3, -1).T.astype(np.int64)
     spanning = np.column_stack([_read_polynomial(text, powers) for text in _PYRAMIDS[rest].split("|")])
     slopes, offsets = np.diag([2.0, 2.0, -1.0]), np.array([-1.0, -1.0, 1.0])
-    return (
-        np.concatenate([np.asarray(part) for part in nodes]),
-        ModeSpace(slopes, offsets, np.stack([np.eye(4)] * 3), powers),
-        spanning,
-    )
+    space = ModeSpace(slopes, offsets, np.stack([np.eye(4)] * 3), powers)
+    return np.concatenate(nodes), space, spanning
 
 
 def _read_polynomial(text: str, powers: Ints) -> Floats:
