@@ -26,17 +26,30 @@ def _gather(x, connectivity, first, count, X):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _accumulate(X, D, J):
-    """Write J = sum_a x_a (x) D_a into J (c, d, LANES), D (k, d)."""
-    k, c = X.shape[:2]
-    d = D.shape[1]
+def _accumulate_volume(X, D, J):
+    """Write J = sum_a x_a (x) D_a into J (3, 3, LANES), D (k, 3); written out: a position is loaded once for all."""
     J[:] = 0.0
-    for a in range(1, k):
-        for i in range(c):
-            for j in range(d):
-                slope = D[a, j]
-                for l in range(LANES):
-                    J[i, j, l] += X[a, i, l] * slope
+    for a in range(1, X.shape[0]):
+        d0, d1, d2 = D[a, 0], D[a, 1], D[a, 2]
+        for i in range(3):
+            for l in range(LANES):
+                x = X[a, i, l]
+                J[i, 0, l] += x * d0
+                J[i, 1, l] += x * d1
+                J[i, 2, l] += x * d2
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _accumulate_area(X, D, J):
+    """Do the same for cells of dimension 2: J (c, 2, LANES), D (k, 2)."""
+    J[:] = 0.0
+    for a in range(1, X.shape[0]):
+        d0, d1 = D[a, 0], D[a, 1]
+        for i in range(X.shape[1]):
+            for l in range(LANES):
+                x = X[a, i, l]
+                J[i, 0, l] += x * d0
+                J[i, 1, l] += x * d1
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -95,7 +108,7 @@ def measure_solids(
         _gather(x, connectivity, first, count, X)
         total[:], low[:], high[:] = 0.0, np.inf, -np.inf
         for q in range(len(weights)):
-            _accumulate(X, derivatives[q], J)
+            _accumulate_volume(X, derivatives[q], J)
             for l in range(LANES):
                 det = J[0, 0, l] * (J[1, 1, l] * J[2, 2, l] - J[1, 2, l] * J[2, 1, l])
                 det -= J[0, 1, l] * (J[1, 0, l] * J[2, 2, l] - J[1, 2, l] * J[2, 0, l])
@@ -120,7 +133,7 @@ def measure_planar(
         _gather(x, connectivity, first, count, X)
         total[:], low[:], high[:] = 0.0, np.inf, -np.inf
         for q in range(len(weights)):
-            _accumulate(X, derivatives[q], J)
+            _accumulate_area(X, derivatives[q], J)
             for l in range(LANES):
                 dets[l] = J[0, 0, l] * J[1, 1, l] - J[0, 1, l] * J[1, 0, l]
             _sample(dets, weights[q], inverse, first, count, q, total, low, high)
@@ -150,7 +163,7 @@ def measure_surfaces(
         _gather(x, connectivity, first, count, X)
         total[:], low[:], high[:], P[:] = 0.0, np.inf, -np.inf, 0.0
         for q in range(len(weights)):
-            _accumulate(X, derivatives[q], J)
+            _accumulate_area(X, derivatives[q], J)
             for l in range(LANES):
                 n0 = J[1, 0, l] * J[2, 1, l] - J[2, 0, l] * J[1, 1, l]
                 n1 = J[2, 0, l] * J[0, 1, l] - J[0, 0, l] * J[2, 1, l]
