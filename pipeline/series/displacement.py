@@ -18,7 +18,13 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.grid import Grid
-from pipeline.series.vector_fields import VectorField, find_flow_fields, find_vector_fields, select_named_field
+from pipeline.series.vector_fields import (
+    VectorField,
+    find_cell_displacements,
+    find_flow_fields,
+    find_vector_fields,
+    select_named_field,
+)
 
 _LOOKED_AT = 1_000_000  # points of all frames that are looked at when a series is opened
 _FEWEST, _MOST = 3, 24  # frames
@@ -76,6 +82,7 @@ class Evidence:
     frames: int
     total: int
     flow: tuple[str, ...]  # fields of a flow
+    on_cells: tuple[str, ...] = ()  # vectors of cells that may be a displacement
 
     @property
     def points_rest(self) -> bool:
@@ -117,7 +124,9 @@ def weigh_evidence(sample: Sample, reference: Floats | None, total: int) -> Evid
             _compare(motion, x - x0, u, u - start, x - last[1] if index == last[0] + 1 else None)
         last = index, x
     size = float(np.linalg.norm(np.ptp(x0[np.isfinite(x0).all(axis=1)], axis=0))) if np.isfinite(x0).any() else 0.0
-    return Evidence(motions, moves, rounding, size, len(sample), total, tuple(sorted(find_flow_fields(names))))
+    on_cells = tuple(find_cell_displacements(sample[-1][1]))
+    flow = tuple(sorted(find_flow_fields(names)))
+    return Evidence(motions, moves, rounding, size, len(sample), total, flow, on_cells)
 
 
 def _compare(motion: FieldMotion, moved: Floats, u: Floats, du: Floats, step: Floats | None) -> None:
@@ -251,6 +260,8 @@ def _choose_at_rest(evidence: Evidence, motions: dict[str, FieldMotion], where: 
     if evidence.total == 1:
         return DisplacementChoice(None, added=False, text="the points of the only frame")
     note = "the points do not move and there is no displacement field: the body is measured as at rest"
+    if evidence.on_cells:
+        note += f"; the cell field {shorten(evidence.on_cells[0])} does not say where its points are: write it at them"
     return DisplacementChoice(None, added=False, notes=(note,), guessed=True, text="points at rest, no displacement")
 
 

@@ -114,6 +114,13 @@ def find_role(name: str) -> Role:
     return "short" if _SHORT.fullmatch(lower) else "vague"
 
 
+def find_cell_displacements(grid: Grid) -> list[str]:
+    """Return the names of vectors at cells that may be a displacement, though cells do not say where nodes are."""
+    shapes = {name: shape for name, (_, shape) in describe_arrays(grid.cell_data).items()}
+    return [name for name, shape in shapes.items()
+            if len(shape) == 2 and shape[1] in (2, 3) and find_role(name) in ("clear", "short")]  # fmt: skip
+
+
 def find_flow_fields(names: Iterable[str]) -> list[str]:
     """Return the names that belong to a flow: beside them, U is a velocity."""
     return [name for name in names if _FLOW.fullmatch(name.lower())]
