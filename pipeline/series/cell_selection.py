@@ -92,8 +92,13 @@ def find_doubled_cells(points: Floats, cells: CellArray) -> Ints:
     """Return the numbers of the cells that have the nodes of an earlier one, or nodes at the same places."""
     joined = join_coincident(points)
     sizes, doubled = np.diff(cells.offsets), [np.zeros(0, dtype=np.int64)]
-    for size in np.unique(sizes).tolist():
-        group = np.flatnonzero(sizes == size)
+    # cells with the same nodes have the same sum of random numbers of these; few others do
+    marks = np.random.default_rng(0).integers(1 << 62, size=len(points), dtype=np.uint64)[joined[cells.connectivity]]
+    sums = np.diff(np.concatenate([np.zeros(1, np.uint64), np.cumsum(marks, dtype=np.uint64)])[cells.offsets])
+    _, inverse, counts = np.unique(sums, return_inverse=True, return_counts=True)
+    suspected = counts[inverse.ravel()] > 1
+    for size in np.unique(sizes[suspected]).tolist():
+        group = np.flatnonzero((sizes == size) & suspected)
         nodes = np.sort(joined[cells.connectivity[cells.offsets[group][:, None] + np.arange(size)]], axis=1)
         _, first = np.unique(nodes, axis=0, return_index=True)
         doubled.append(np.delete(group, first))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Floats, Ints
 from pipeline.formats.grid import CellArray
 from pipeline.mesh.blocks import split_blocks
+from pipeline.mesh.cell_kinds import POLYGON
 
 _SQUARE_FACES = ((0, 1), (1, 2), (2, 3), (3, 0))
 _FACES: dict[str, tuple[tuple[int, ...], ...]] = {
@@ -74,8 +75,11 @@ def join_coincident(points: Floats) -> Ints:
     """Return the first point at the place of every point: equal to nine digits of the body's size."""
     step = 1e-9 * max(float(np.ptp(points, axis=0).max(initial=0.0)), 1e-300)
     places = np.round((points - points.min(axis=0)) / step)
-    _, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)
-    return np.asarray(first[inverse.ravel()], dtype=np.int64)
+    order = np.lexsort(places.T)  # stable, so that the first of equal points comes first; faster than np.unique of rows
+    starts = np.concatenate([[True], (np.diff(places[order], axis=0) != 0).any(axis=1)])
+    joined = np.empty(len(points), dtype=np.int64)
+    joined[order] = order[np.flatnonzero(starts)[np.cumsum(starts) - 1]]
+    return joined
 
 
 def _list_faces(cells: CellArray, joined: Ints) -> tuple[Ints, Ints, Ints]:
@@ -89,12 +93,21 @@ def _list_faces(cells: CellArray, joined: Ints) -> tuple[Ints, Ints, Ints]:
             corners.append(nodes)
             keys.append(np.sort(np.where(nodes < 0, -1, joined[nodes]), axis=1))
             owners.append(block.cells)
+    for cell in np.flatnonzero(cells.types == POLYGON).tolist():
+        own = cells.connectivity[cells.offsets[cell] : cells.offsets[cell + 1]]
+        nodes = np.full((len(own), 4), -1, dtype=np.int64)
+        nodes[:, 0], nodes[:, 1] = own, np.roll(own, -1)
+        corners.append(nodes)
+        keys.append(np.sort(np.where(nodes < 0, -1, joined[nodes]), axis=1))
+        owners.append(np.full(len(own), cell))
     return np.concatenate(keys), np.concatenate(owners), np.concatenate(corners)
 
 
 def _find_corner_means(points: Floats, cells: CellArray) -> Floats:
-    """Return the mean (e, d) of the corners of every cell that has shape functions; 0 for others."""
+    """Return the mean (e, d) of the corners of every cell that has shape functions, and of polygons."""
     centers = np.zeros((len(cells.types), points.shape[1]))
+    for cell in np.flatnonzero(cells.types == POLYGON).tolist():
+        centers[cell] = points[cells.connectivity[cells.offsets[cell] : cells.offsets[cell + 1]]].mean(axis=0)
     for block in split_blocks(cells):
         centers[block.cells] = points[block.connectivity[:, block.kind.corners]].mean(axis=1)
     return centers
