@@ -19,7 +19,6 @@ from pipeline.series.frame_store import FieldColumn, FrameStore
 _HIDDEN = {("field", "TimeValue"), ("field", ATTRIBUTES)}  # they are the coordinate time, and the attributes
 _GHOSTS = "vtkGhostType"  # what it marks is left out of the mesh; in a file that we write, it would be again
 _PLACES = {"point": ("node",), "cell": ("cell",), "field": ()}
-_COMMENTS = {True: "the points of the files move", False: "the field {} of the files, which is added to the points"}
 
 
 def list_columns(
@@ -105,8 +104,7 @@ def _make_displacement(store: FrameStore, *, own: bool) -> FieldColumn:
     dims, shape = ("node", "axis"), (len(series.mesh.points), 3)
     attributes = describe_field("displacement", dims, series.mesh.dimension)
     if not own:
-        added = series.layout.displacement
-        attributes["comment"] = _COMMENTS[added is None].format(added)
+        attributes["comment"] = f"the files have {series.layout.decisions.points}"
     return FieldColumn("displacement", None, dims, shape, np.dtype(np.float64), attributes, own)
 
 

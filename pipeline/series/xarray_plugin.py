@@ -114,9 +114,20 @@ def make_lazy_dataset(series: Series, first: Grid | None = None, *, scan_all: bo
     if any("quantile" in column.dims for column in columns):
         coordinates["quantile"] = ("quantile", np.array(QUANTILES), make_attributes("quantile", d), _NO_FILL)
     out = xarray.Dataset(variables, coordinates, {"Conventions": "CF-1.11 UGRID-1.0", "title": series.name})
+    out.attrs |= _describe_decisions(series)
     if notes := (*series.notes, *notes):
         out.attrs["comment"] = "; ".join(notes)
     return _restore_attributes(out, grid)
+
+
+def _describe_decisions(series: Series) -> dict[str, str]:
+    """Return the decisions about the files as attributes of the dataset."""
+    decisions = series.describe_decisions()
+    texts = {
+        "points": decisions.points, "rest_state": decisions.rest, "cells": decisions.cells,
+        "left_out": decisions.left_out, "times": decisions.times,
+    }  # fmt: skip
+    return {name: text for name, text in texts.items() if text}
 
 
 def _restore_attributes(dataset: xarray.Dataset, first: Grid) -> xarray.Dataset:

@@ -173,6 +173,22 @@ def test_a_displacement_that_is_not_that_of_the_points_is_kept_beside_it(tmp_pat
     assert dataset["displacement_point"].max(["node", "axis"]).values == pytest.approx([0, 0.4, 0.8])
 
 
+def test_decisions_about_the_files_are_attributes(tmp_path):
+    u = [stretch(POINTS, 1 + 0.1 * k) - POINTS for k in (1, 2, 3)]
+    points = [stretch(POINTS, 1 + 0.1 * k) for k in (1, 2, 3)]
+    attributes = open_lazily(write(tmp_path, *(({"u": field},) for field in u), points=points)).attrs
+    assert attributes["points"] == "deformed points, which contain u" and "minus u" in attributes["rest_state"]
+    assert attributes["cells"] == "12 tetrahedra in 3D" and attributes["times"] == "3 frames from 0 to 0.2 s"
+    (tmp_path / "b").mkdir()
+    path = write(tmp_path / "b", *(({"u": field - u[0]},) for field in u), points=[POINTS] * 3)
+    with open_lazily(path) as dataset:
+        assert dataset["displacement"].attrs["comment"] == "the files have rest points + u"
+        assert "comment" in dataset.attrs and "left_out" not in dataset.attrs
+        dataset.to_netcdf(tmp_path / "a.nc", engine="netcdf4")
+    with xarray.open_dataset(tmp_path / "a.nc", engine="netcdf4") as again:
+        assert again.attrs["points"] == "rest points + u"
+
+
 # Ways out and back
 
 
