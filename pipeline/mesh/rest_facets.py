@@ -85,7 +85,8 @@ def prepare_facets(points: Floats, faceted: FacetedCells) -> RestFacets:
         X = X - (X * normals[owner]).sum(axis=1, keepdims=True) * normals[owner]
         M = np.add.reduceat(X[:, :, None] * X[:, None, :], faceted.starts[:-1], axis=0)
         M += np.trace(M, axis1=1, axis2=2)[:, None, None] * normals[:, :, None] * normals[:, None, :]
-    gradients = np.linalg.solve(M[owner], X[:, :, None])[:, :, 0]
+    inverse_M = np.linalg.pinv(M, hermitian=True)  # a cell that is flat up to rounding has a singular M
+    gradients = np.einsum("aij,aj->ai", inverse_M[owner], X)
     return RestFacets(faceted, _sum_pieces(pieces, faceted), inverse, np.ascontiguousarray(gradients), normals)
 
 

@@ -80,5 +80,6 @@ def _measure_triangles(triangles: Mesh, rest: RestBlock, x: Floats, outputs: Mea
     cells, volumes = rest.block.cells, signed_volumes(x, triangles.cells)
     outputs[0][cells] = volumes
     outputs[1][cells] = outputs[2][cells] = volumes / triangles.rest_volumes
-    angles = angle(polar(deformation_gradient(triangles, x)))
+    with np.errstate(invalid="ignore", over="ignore"):  # positions that are not finite
+        angles = angle(polar(deformation_gradient(triangles, x)))
     outputs[3][cells] = np.where(np.isnan(volumes), np.nan, angles)

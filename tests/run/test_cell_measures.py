@@ -438,3 +438,38 @@ def test_meshes_of_simplices_are_still_theirs() -> None:
         assert np.array_equal(ours, theirs)
     assert mesh.centers == pytest.approx(plain.centers) and mesh.size == plain.size
     assert mesh.node_volumes == pytest.approx(plain.node_volumes, rel=1e-13)
+
+
+@pytest.mark.filterwarnings("error")
+def test_damaged_cells_are_refused_or_measured_without_a_warning() -> None:
+    """Faces and nodes exchanged at random, points that coincide, positions that are not finite."""
+    rng, counts = np.random.default_rng(0), {"measured": 0, "refused": 0}
+    start, cells = make_hexahedra(2)
+    for n in range(240):
+        points, array, d = start.copy(), make_polyhedra(cells), 3
+        points[rng.integers(27)] = points[rng.integers(27)]
+        if n % 3 == 0 and array.faces is not None:
+            faces = [part.copy() for part in array.faces]
+            part, last = faces[n % 9 // 3], (27, 193, 49)[n % 9 // 3]
+            at = rng.integers(1, len(part) - 1)
+            part[at] = rng.integers(last) if n % 9 == 0 else part[at] + rng.integers(-1, 2)
+            array = array._replace(faces=PolyhedronFaces(*faces))
+        elif n % 3 == 1:
+            number, count = KINDS[rng.integers(len(KINDS))]
+            (points, array), d = make_cells(number, count, m=5), TYPES[number].dimension
+            connectivity = array.connectivity.copy()
+            connectivity[rng.integers(len(connectivity), size=3)] = rng.integers(len(points), size=3)
+            array = array._replace(connectivity=connectivity)
+        try:
+            mesh = CellMesh(points, array, d)
+        except MeshError:
+            counts["refused"] += 1
+            continue
+        x = mesh.points + 0.1 * rng.normal(size=mesh.points.shape)
+        x[rng.integers(len(x))] = rng.choice([np.nan, np.inf, 1.0])
+        found = measure_cells(mesh, x)
+        known = ~np.isnan(found.volumes)
+        assert (found.ratio_min[known] <= found.ratio_max[known]).all()
+        assert mesh.node_volumes.sum() == pytest.approx(mesh.rest_volumes.sum(), rel=1e-9)
+        counts["measured"] += 1
+    assert min(counts.values()) > 30
