@@ -10,7 +10,7 @@ from pipeline.fem.rotation import angle, polar_by_svd
 from pipeline.formats.grid import CellArray, PolyhedronFaces
 from pipeline.mesh.cell_kinds import HEXAGONAL_PRISM, PENTAGONAL_PRISM, POLYGON, POLYHEDRON, ROWS, TYPES
 from pipeline.mesh.cell_mesh import CellMesh, measure_volumes
-from pipeline.mesh.quadrature import find_samples
+from pipeline.mesh.quadrature import find_quadrature, find_samples
 from pipeline.mesh.shape_functions import CellKind, find_kind
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
@@ -159,6 +159,22 @@ def test_kernels_agree_with_numpy(number: int, count: int, shake: float) -> None
     assert ours.ratio_min == pytest.approx(expected.ratio_min, abs=1e-11 * scale)
     assert ours.ratio_max == pytest.approx(expected.ratio_max, abs=1e-11 * scale)
     assert ours.angles == pytest.approx(expected.angles, abs=1e-8)
+
+
+@pytest.mark.parametrize(("number", "count"), KINDS, ids=list_ids(KINDS))
+def test_the_mean_of_f_is_exact(number: int, count: int) -> None:
+    """A quadrature of a higher degree gives the same mean, and the divergence theorem too: it is linear in x."""
+    points, array = make_cells(number, count, m=5, noise=0.03)
+    d = points.shape[1]
+    mesh, kind = CellMesh(points, array, d), find_kind(number, count)
+    x = points + 0.2 * np.random.default_rng(3).normal(size=points.shape)
+    cells = mesh.blocks[0].connectivity
+    at, weights = find_quadrature(kind, "nodes")
+    J0, J = (np.einsum("mai,qad->mqid", p[cells], kind.differentiate(at)) for p in (points, x))
+    dets = weights * np.linalg.det(J0)
+    expected = np.einsum("mq,mqij->mij", dets, J @ np.linalg.inv(J0)) / dets.sum(axis=1)[:, None, None]
+    F = np.einsum("mai,maj->mij", x[cells], mesh.rest_blocks[0].gradients)
+    np.testing.assert_allclose(F, expected, atol=1e-11 * np.abs(expected).max())
 
 
 def test_cells_inverted_inside_are_found_though_their_volume_is_positive() -> None:
