@@ -160,6 +160,7 @@ class DeformationAccessor:
             extra = [str(name) for name in field.dims if name not in _ALONG]
             remedy = f"select one {extra[0]} first (isel)" if extra else "keep time (isel(time=[i]))"
             raise SeriesError(f"displacement has the dimensions {', '.join(map(str, field.dims))}: {remedy}")
+        _check_units(self._dataset["rest_position"], field)
         return field.transpose(*_ALONG)
 
     def _iterate_positions(self, mesh: BodyMesh) -> Iterator[Floats]:
@@ -190,6 +191,15 @@ class DeformationAccessor:
         coordinates = {key: self._dataset[key] for key in ("time", "cell_type") if key in self._dataset.coords}
         attributes = describe_field(name, ("cell",), mesh.dimension)
         return xarray.DataArray(values, coordinates, ("time", "cell"), name, attributes)
+
+
+def _check_units(rest: "xarray.DataArray", displacement: "xarray.DataArray") -> None:
+    """Raise SeriesError if positions at rest and displacements cannot be added as plain numbers."""
+    if any(hasattr(part.data, "units") for part in (rest, displacement.isel(time=slice(0)))):  # of pint
+        raise SeriesError("rest_position or displacement holds quantities: use ds.pint.dequantify() first")
+    units = [part.attrs.get("units") for part in (rest, displacement)]
+    if None not in units and units[0] != units[1]:
+        raise SeriesError(f"rest_position is in {units[0]}, displacement in {units[1]}: convert one of them")
 
 
 def _measure_ratio(mesh: BodyMesh, x: Floats) -> Floats:

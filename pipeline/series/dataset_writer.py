@@ -36,6 +36,9 @@ def write_pvd_series(dataset: "xarray.Dataset", path: str | os.PathLike[str]) ->
     strange = [str(name) for name, field in moving.data_vars.items() if not _fits_frames(field)]
     if strange:
         raise SeriesError(f"{path}: frames cannot hold {', '.join(strange)}; drop_vars them, or put time first")
+    times = dataset["time"].values
+    if len(np.unique(times)) < len(times):
+        raise SeriesError(f"{path}: some times occur twice, and a reader would drop frames: drop_duplicates('time')")
     rest = dataset["rest_position"].values
     static, entries = encode_static_parts(mesh.cell_array, rest), []
     names = [name for name in dataset.variables if name != "cell_type"]  # its attributes are arrays, and made anew

@@ -5,7 +5,9 @@ import shutil
 import subprocess
 import sys
 
+import cf_xarray.units
 import numpy as np
+import pint_xarray  # noqa: F401  (registers ds.pint)
 import pytest
 import xarray
 
@@ -250,6 +252,8 @@ def test_repeated_times_and_further_dimensions_are_told(tmp_path):
     assert both.deformation.worst() == dataset.deformation.worst()
     with pytest.raises(SeriesError, match=r"2 frames have the time 0\.1 s: drop_duplicates"):
         both.deformation.to_pyvista(0.1)
+    with pytest.raises(SeriesError, match="some times occur twice"):
+        both.deformation.to_pvd(tmp_path / "both.pvd")
     assert both.drop_duplicates("time").deformation.to_pyvista(0.1).n_cells == E
     variants = xarray.concat([dataset, dataset], "variant", data_vars=["displacement"])
     with pytest.raises(
@@ -277,6 +281,25 @@ def test_missing_nodes_are_nan_in_their_cells_only(tmp_path):
     assert dataset.deformation.to_pyvista(0.2).n_cells == E - lost.sum()
     dataset["displacement"][:] = np.nan
     assert dataset.deformation.worst().volume_ratio == 1.0
+
+
+def test_missing_nodes_survive_in_frames(tmp_path):
+    dataset = moved(tmp_path).load()
+    dataset["displacement"][2, CELLS[0, 0]] = np.nan
+    again = open_lazily(dataset.deformation.to_pvd(tmp_path / "again.pvd"))
+    xarray.testing.assert_identical(again.load(), dataset)
+
+
+def test_units_that_differ_are_an_error(tmp_path):
+    dataset = moved(tmp_path)
+    in_mm = dataset.assign(displacement=1000 * dataset["displacement"].load())
+    in_mm["displacement"].attrs["units"] = "mm"
+    with pytest.raises(SeriesError, match="rest_position is in m, displacement in mm: convert one of them"):
+        in_mm.deformation.volume_ratio()
+    quantities = dataset.load().pint.quantify(unit_registry=cf_xarray.units.units)
+    with pytest.raises(SeriesError, match=r"holds quantities: use ds\.pint\.dequantify"):
+        quantities.deformation.worst()
+    assert quantities.pint.dequantify("cf").deformation.worst() == dataset.deformation.worst()
 
 
 def test_an_inverted_cell_is_told(tmp_path):
