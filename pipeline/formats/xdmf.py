@@ -5,10 +5,11 @@ Several collections, one a function, describe one body: their fields are joined.
 
 import xml.etree.ElementTree as ET
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,8 +18,10 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.blocks import join_blocks
+from pipeline.formats.bodies import are_apart
 from pipeline.formats.cell_types import find_cell_fault
 from pipeline.formats.grid import CellArray, Grid
+from pipeline.formats.parts import have_equal_cells
 from pipeline.formats.xdmf_cells import get_dimension, read_mesh
 from pipeline.formats.xdmf_document import XdmfDocument
 from pipeline.formats.xdmf_fields import read_fields
@@ -76,7 +79,18 @@ def _read_pieces(opened: _OpenFile, pieces: tuple[XdmfPiece, ...]) -> Grid:
     for key in opened.meshes.keys() - fresh.keys():
         if len(opened.meshes) > 2 * len(fresh) + 4:  # a moving mesh would fill the memory
             del opened.meshes[key]
-    return join_blocks([_read_piece(opened, piece) for piece in pieces], [piece.name for piece in pieces])
+    return _join_pieces([_read_piece(opened, piece) for piece in pieces], [piece.name for piece in pieces])
+
+
+def _join_pieces(grids: Sequence[Grid], names: Sequence[str]) -> Grid:
+    """Return parts as one grid; raises ValueError if two of them are one body at two times."""
+    for (one, a), (two, b) in pairwise(zip(names, grids, strict=True)):
+        if have_equal_cells(a, b) and not np.array_equal(a.points, b.points) and not are_apart(a, b):
+            raise ValueError(
+                f"its grids {shorten(one)} and {shorten(two)} are the same cells in almost the same place, so they are "
+                "frames, not parts of a body: put them into a temporal collection, each with its Time"
+            )
+    return join_blocks(grids, names)
 
 
 def _key(piece: XdmfPiece) -> tuple[int, int]:
@@ -118,12 +132,7 @@ def _join_layers(layers: list[Grid], notes: list[str]) -> Grid:
 
 
 def _have_same_mesh(a: Grid, b: Grid) -> bool:
-    return (
-        a.count == b.count
-        and np.array_equal(a.types, b.types)
-        and np.array_equal(a.connectivity, b.connectivity)
-        and np.array_equal(a.points, b.points, equal_nan=True)
-    )
+    return have_equal_cells(a, b) and np.array_equal(a.points, b.points, equal_nan=True)
 
 
 def _describe(grid: Grid) -> str:
@@ -174,4 +183,4 @@ def _add_static(opened: _OpenFile, grid: Grid | None, notes: list[str]) -> Grid:
     kept = [i for i, part in enumerate(parts) if get_dimension(part.cells) == largest]
     for i in sorted(set(range(len(parts))) - set(kept)):
         notes.append(f"the grid {shorten(names[i])} ({_describe(parts[i])}) has cells of less dimensions: left out")
-    return join_blocks([parts[i] for i in kept], [names[i] for i in kept])
+    return _join_pieces([parts[i] for i in kept], [names[i] for i in kept])

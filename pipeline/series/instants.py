@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.errors import SeriesError, join_names, shorten
+from pipeline.formats.bodies import are_apart
 from pipeline.formats.grid import Grid
 from pipeline.formats.parts import have_equal_cells
 from pipeline.formats.pvd import IndexEntry
-from pipeline.series.bodies import are_apart
 from pipeline.series.file_names import list_numbers, make_natural_key, make_template, read_decimals
 from pipeline.series.frame_files import find_fault, read_grid, read_times
 from pipeline.series.frame_times import spread_times

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.errors import SeriesError, join_names, shorten
+from pipeline.formats.bodies import are_apart
 from pipeline.formats.parts import have_equal_cells
 from pipeline.formats.pvd import IndexEntry
 from pipeline.formats.readers import SUFFIXES
-from pipeline.series.bodies import are_apart
 from pipeline.series.file_names import list_numbers, make_natural_key, make_template, read_decimals
 from pipeline.series.frame_files import FileTimes, find_fault, find_pieces, read_grid, read_times
 

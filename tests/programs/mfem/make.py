@@ -17,7 +17,8 @@ sys.path.insert(0, str(HERE.parent))
 from expected import TIMES, make_expectation, move_bar, write_expected  # noqa: E402
 
 ORDER = 2
-KINDS = {"hexahedra": mfem.Element.HEXAHEDRON, "tetrahedra": mfem.Element.TETRAHEDRON, "wedges": mfem.Element.WEDGE}
+KINDS = {"hexahedra": mfem.Element.HEXAHEDRON, "tetrahedra": mfem.Element.TETRAHEDRON, "wedges": mfem.Element.WEDGE,
+         "moving": mfem.Element.HEXAHEDRON}  # fmt: skip
 
 
 class Motion(mfem.VectorPyCoefficient):
@@ -61,11 +62,13 @@ def main():
     for name, kind in KINDS.items():
         n = (2, 1, 1)
         mesh = mfem.Mesh.MakeCartesian3D(*n, kind, 2.0, 1.0, 1.0)
-        mesh.SetCurvature(ORDER)
-        space = mfem.FiniteElementSpace(mesh, mfem.H1_FECollection(ORDER, 3), 3)
+        mesh.SetCurvature(ORDER, False, 3, mfem.Ordering.byNODES)
+        space = mfem.FiniteElementSpace(mesh, mfem.H1_FECollection(ORDER, 3), 3, mfem.Ordering.byNODES)
         u = mfem.GridFunction(space)
         motion = Motion()
         shutil.rmtree(name, ignore_errors=True)
+        rest_nodes = mesh.GetNodes().GetDataArray().copy()
+        moving = name == "moving"
         output = mfem.ParaViewDataCollection(name, mesh)
         output.SetPrefixPath(".")
         output.RegisterField("displacement", u)
@@ -77,8 +80,11 @@ def main():
             u.ProjectCoefficient(motion)
             output.SetCycle(cycle)
             output.SetTime(t)
-            output.Save()
             rest, volume, mean = integrate(mesh, u)
+            if moving:  # the mesh's own nodes move, and the field is there too
+                mesh.GetNodes().GetDataArray()[:] = rest_nodes + u.GetDataArray()
+            output.Save()
+            mesh.GetNodes().GetDataArray()[:] = rest_nodes
             volumes.append(volume)
             means.append(mean)
         centers = [np.mean([mesh.GetVertexArray(v) for v in mesh.GetElementVertices(k)], axis=0)
