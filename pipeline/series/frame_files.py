@@ -30,7 +30,7 @@ from pipeline.formats.vtu_steps import find_step_times
 
 # a number of the whole under another name than TimeValue: XML, or the data of a legacy file
 _TIME_FIELD = re.compile(
-    rb"<FieldData>.*?Name=\"(?:sim\w*)?time\w*\"|^\s*(?:sim\w*)?time\w* 1 1 \w+\s*$", re.I | re.M | re.S
+    rb"<FieldData>.*?Name=\"(?:\w*time\w*|t)\"|^\s*(?:\w*time\w*|t) 1 1 \w+\s*$", re.I | re.M | re.S
 )
 _ENDS_AS_VTK_FILE = frozenset({".vtu", ".vtp", *PIECEWISE_SUFFIXES})
 

@@ -42,8 +42,8 @@ def list_numbered(where: Path, candidates: Sequence[Path]) -> NumberedEntries:
     if known and (len(set(known)) > 1 or len(known) == 1):
         entries = [IndexEntry(time, file) for time, file in zip(known, whole, strict=True)]
         return NumberedEntries(entries, _name_fields(times), faulty)
-    entries, notes = _count_frames(where, whole, bool(known))
-    return NumberedEntries(entries, notes, faulty)
+    # counted with those that cannot be read, which are left out later, so that the others keep their numbers
+    return NumberedEntries(*_count_frames(where, files, set(faulty), bool(known)), [])
 
 
 def _select_files(where: Path, candidates: Sequence[Path]) -> list[Path]:
@@ -64,7 +64,7 @@ def _select_files(where: Path, candidates: Sequence[Path]) -> list[Path]:
 def _drop_pieces(files: Sequence[Path]) -> list[Path]:
     """Return the files without the pieces of others among them."""
     pieces = {piece.name for file in files for piece in find_pieces(file)}
-    return [file for file in files if file.name not in pieces]
+    return [file for file in files if file.name not in pieces] or list(files)  # a file may name itself
 
 
 def _list_steps(where: Path, files: Sequence[Path], times: Sequence[FileTimes]) -> tuple[list[IndexEntry], list[str]]:
@@ -81,9 +81,11 @@ def _name_fields(times: Sequence[FileTimes]) -> list[str]:
     return [f"the times are the field {join_names(names)} of the files"] if names else []
 
 
-def _count_frames(where: Path, files: list[Path], have_times: bool) -> tuple[list[IndexEntry], list[str]]:
+def _count_frames(
+    where: Path, files: list[Path], faulty: set[Path], have_times: bool
+) -> tuple[list[IndexEntry], list[str]]:
     """Return the entries of files without times that differ: counted, or at the times in their names."""
-    parts, notes = _find_parts(where, files)
+    parts, notes = _find_parts(where, files, faulty)
     if parts is not None:
         numbers = {number: float(i) for i, number in enumerate(sorted({number for number, _ in parts}))}
         entries = [
@@ -100,7 +102,9 @@ def _count_frames(where: Path, files: list[Path], have_times: bool) -> tuple[lis
     return entries, [*notes, f"{reason}; frames are counted from 0"] if len(files) > 1 else []
 
 
-def _find_parts(where: Path, files: Sequence[Path]) -> tuple[list[tuple[int, int]] | None, list[str]]:
+def _find_parts(
+    where: Path, files: Sequence[Path], faulty: set[Path]
+) -> tuple[list[tuple[int, int]] | None, list[str]]:
     """Return the numbers of the frame and the part of each file, None if the files are frames of one body, and a note.
 
     Two numbers that vary by themselves may be those of time and part: the cells and places of bodies decide.
@@ -110,13 +114,14 @@ def _find_parts(where: Path, files: Sequence[Path]) -> tuple[list[tuple[int, int
     if width < 2 or any(len({own[k] for own in numbers}) == len(files) for k in range(width)):
         return None, []  # one number alone tells all files
     if width > 2:
-        if _are_frames(files[0], files[1]) and _are_frames(files[0], files[-1]):
+        whole = [file for file in files if file not in faulty]
+        if _are_frames(whole[0], whole[min(1, len(whole) - 1)]) and _are_frames(whole[0], whole[-1]):
             return None, []
         raise SeriesError(
             f"{where}: {width} numbers vary in the names, such as {shorten(files[-1].name)}, and the files are not "
             "frames of one body: give a pattern that lets one of them vary"
         )
-    by_first, by_second = (_find_pair(files, numbers, k) for k in (0, 1))
+    by_first, by_second = (_find_pair(files, numbers, faulty, k) for k in (0, 1))
     frames = [pair is None or _are_frames(*pair) for pair in (by_first, by_second)]
     if all(frames):
         return None, [f"two numbers vary in the names; {files[0].name} and the others are frames of one body"]
@@ -131,11 +136,15 @@ def _find_parts(where: Path, files: Sequence[Path]) -> tuple[list[tuple[int, int
     return [(own[time], own[part]) for own in numbers], [note]
 
 
-def _find_pair(files: Sequence[Path], numbers: Sequence[tuple[int, ...]], k: int) -> tuple[Path, Path] | None:
+def _find_pair(
+    files: Sequence[Path], numbers: Sequence[tuple[int, ...]], faulty: set[Path], k: int
+) -> tuple[Path, Path] | None:
     """Return two files whose names differ in the k-th number only, None if there are none."""
     found = dict[tuple[int, ...], Path]()
     for file, own in zip(files, numbers, strict=True):
         rest = (*own[:k], *own[k + 1 :])
+        if file in faulty:
+            continue
         if rest in found:
             return found[rest], file
         found[rest] = file
