@@ -11,6 +11,9 @@ from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.blocks import join_blocks
 from pipeline.formats.grid import Grid
 
+# VTK's cell types by dimension
+_SOLIDS = frozenset({*range(10, 17), 24, 25, 26, 27, 29, 31, 32, 33, 37, 41, 42, *range(71, 75), *range(78, 82)})
+_FACES = frozenset({*range(5, 10), 22, 23, 28, 30, 34, 36, 69, 70, 76, 77})
 _COUNTS: dict[str, Callable[[Grid], int]] = {
     "point_data": lambda grid: grid.count, "cell_data": lambda grid: len(grid.types)
 }  # fmt: skip
@@ -26,10 +29,13 @@ class BodyPart(NamedTuple):
 def join_parts(parts: Sequence[BodyPart], where: str) -> Grid:
     """Return one grid with the points and cells of all parts, in their order; coincident points are not merged.
 
-    Parts with equal points and cells are one part with the fields of both. A field that some parts lack is NaN there,
-    with a note. Raises SeriesError if equal parts have different values of one field.
+    Parts whose cells have fewer dimensions, such as the boundary of a body, are left out with a note: they often lack
+    its fields. Parts with equal points and cells are one part with the fields of both. A field that some parts lack is
+    NaN there, with a note. Raises SeriesError if equal parts have different values of one field.
     """
-    separate, notes = _combine_equal_parts(parts, where)
+    solid, notes = _drop_boundaries(parts)
+    separate, more_notes = _combine_equal_parts(solid, where)
+    notes += more_notes
     if len(separate) == 1 and len(parts) == 1:
         return parts[0].grid
     grids = _mark_none_as_copies([part.grid for part in separate])
@@ -45,6 +51,22 @@ def have_equal_cells(a: Grid, b: Grid) -> bool:
     """Return whether two grids have equally numbered cells and points."""
     same = a.count == b.count and np.array_equal(a.types, b.types)
     return same and np.array_equal(a.offsets, b.offsets) and np.array_equal(a.connectivity, b.connectivity)
+
+
+def _drop_boundaries(parts: Sequence[BodyPart]) -> tuple[list[BodyPart], list[str]]:
+    """Return the parts that have cells of the highest dimension, and a note on the others."""
+    dimensions = [_find_dimension(part.grid) for part in parts]
+    lower = [part.name for part, own in zip(parts, dimensions, strict=True) if own < max(dimensions)]
+    if not lower:
+        return list(parts), []
+    note = f"left out, as their cells have fewer dimensions than those of the body: {join_names(lower)}"
+    return [part for part, own in zip(parts, dimensions, strict=True) if own == max(dimensions)], [note]
+
+
+def _find_dimension(grid: Grid) -> int:
+    """Return the highest dimension of the cells."""
+    kinds = set(np.unique(grid.types).tolist())
+    return 3 if kinds & _SOLIDS else 2 if kinds & _FACES else 1
 
 
 def _combine_equal_parts(parts: Sequence[BodyPart], where: str) -> tuple[list[BodyPart], list[str]]:
