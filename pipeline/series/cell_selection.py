@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import SeriesError, join_names
@@ -19,21 +20,19 @@ from pipeline.series.cell_sides import join_coincident
 
 _GHOSTS = {"vtkghosttype": 1, "vtkghostlevels": 1, "ghosttype": 1, "ghostlevel": 1, "ghost_cells": 1, "ghostcells": 1,
            "is_ghost": 1, "isghost": 1, "ghost": 1, "ghostrank": 0, "ghost_rank": 0}  # fmt: skip
+_HULLS = 1000  # cells whose volumes are estimated
 _GHOST_BITS = 1 | 32  # of vtkGhostType: a duplicate, or a hidden cell
 
 
 @dataclass(frozen=True)
 class CellChoice:
-    """The dimension of the measured cells, their numbers in the grid (e,), and notes.
-
-    `counts` are the numbers of measured cells by kind.
-    """
+    """The dimension of the measured cells, their numbers in the grid (e,), notes, and the cells left out."""
 
     dimension: int
     cells: Ints
-    counts: dict[str, int]
     notes: tuple[str, ...]
     unmeasured: Ints  # cells of that dimension that cannot be measured
+    without_volume: int  # cells of lower dimension
 
 
 def choose_cells(grid: Grid, where: str) -> CellChoice:
@@ -63,9 +62,8 @@ def choose_cells(grid: Grid, where: str) -> CellChoice:
             reason for (number, _), reason in reasons.items() if number in TYPES and TYPES[number].dimension == d
         )
         notes.append(f"left out, because they cannot be measured: {_join_counts(unmeasured)}; {why}")
-    return CellChoice(
-        d, np.flatnonzero(chosen), _count_names(types[chosen]), tuple(notes), np.flatnonzero(top & refused)
-    )
+    lower = int(((dimensions < d) & ~ghosts).sum())
+    return CellChoice(d, np.flatnonzero(chosen), tuple(notes), np.flatnonzero(top & refused), lower)
 
 
 def find_ghosts(grid: Grid) -> NDArray[np.bool_]:
@@ -110,6 +108,40 @@ def extract_cells(grid: Grid, chosen: Ints) -> CellArray:
     if len(chosen) == len(grid.types):
         return grid.cells
     return select_array(grid.cells, chosen)
+
+
+def describe_left_out(grid: Grid, rest: Floats, choice: CellChoice, flat: int, measured: float) -> str:
+    """Return the cells that are not measured, and their share of the volume; empty if there are none.
+
+    The volume of cells that cannot be measured is estimated by the convex hulls of their points.
+    """
+    texts = []
+    if count := len(choice.unmeasured):
+        total = sum(_estimate_volume(rest[_find_nodes(grid, cell)]) for cell in choice.unmeasured[:_HULLS].tolist())
+        total *= count / min(count, _HULLS)
+        share = f"about {100 * total / (total + measured):.2g} %" if choice.dimension == 3 else "an unknown share"
+        texts.append(f"{_count_cells(count)} that cannot be measured ({share} of the volume)")
+    if flat:
+        texts.append(f"{_count_cells(flat)} that are flat (0 % of the volume)")
+    if choice.without_volume:
+        texts.append(f"{_count_cells(choice.without_volume)} of lower dimension (no volume)")
+    return ", ".join(texts)
+
+
+def _count_cells(count: int) -> str:
+    return f"{count} cell{'s' if count > 1 else ''}"
+
+
+def _find_nodes(grid: Grid, cell: int) -> Ints:
+    return np.unique(grid.connectivity[grid.offsets[cell] : grid.offsets[cell + 1]])
+
+
+def _estimate_volume(points: Floats) -> float:
+    """Return the volume of the convex hull of points, 0 if they are flat."""
+    try:
+        return float(ConvexHull(points).volume)
+    except QhullError:
+        return 0.0
 
 
 def _count_names(types: Ints) -> dict[str, int]:

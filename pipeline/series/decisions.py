@@ -19,5 +19,7 @@ class Decisions:
 
     def __str__(self) -> str:
         """Return two lines: positions and rest state; cells and times."""
-        left_out = f"; left out: {self.left_out}" if self.left_out else ""
-        return f"points: {self.points}; rest state: {self.rest}\ncells: {self.cells}{left_out}; times: {self.times}"
+        return (
+            f"points: {self.points}; rest state: {self.rest}\n"
+            f"cells: {self.cells}; left out: {self.left_out or 'nothing'}; times: {self.times}"
+        )

@@ -80,17 +80,16 @@ def _collect_sample(first: Grid, read: Callable[[int], Grid], count: int, ids: I
 
 def _rearrange(grid: Grid, first: Grid, ids: IdTable) -> Grid | None:
     """Return a frame with its points in the order of the first, or None if it has another mesh."""
-    same = have_same_cells(grid, first)
-    if same and ids.are_in_place(grid):
-        shared = len(np.unique(first.connectivity)) < len(first.connectivity)
-        if shared or len(first.types) < 2 or ids.names:
-            return grid
-    found = match_by_ids(grid, ids)
-    if found is None and grid.count == first.count and not (same and np.array_equal(grid.points, first.points)):
+    in_place = have_same_cells(grid, first) and ids.are_in_place(grid)
+    if in_place and (len(np.unique(first.connectivity)) < len(first.connectivity) or len(first.types) < 2):
+        return grid
+    # cells with points of their own may change places in equal connectivity; ids may only count them
+    found = None if in_place else match_by_ids(grid, ids)
+    if found is None and grid.count == first.count and not (in_place and np.array_equal(grid.points, first.points)):
         tolerance = 1e-7 * float(np.ptp(first.points, axis=0).max(initial=0.0))
         found = match_by_positions(first.points, first.cells, grid.points, grid.cells, tolerance)
     if found is None:
-        return grid if same and ids.are_in_place(grid) else None
+        return grid if in_place else None
     points = {name: found.select_nodes(np.asarray(values)) for name, values in grid.point_data.items()}
     stored = found.select_nodes(grid.points)
     return Grid(stored, first.count, first.types, first.offsets, first.connectivity, points, {}, {}, first.faces)

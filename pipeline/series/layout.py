@@ -100,13 +100,14 @@ class SeriesLayout:
         same = have_same_cells(grid, self.grid)
         if same and self.trusted:
             return self.arrangement
-        if same and self.ids.are_in_place(grid) and not (self.own_points and self._is_moved(grid)):
+        in_place = same and self.ids.are_in_place(grid)
+        if in_place and not (self.own_points and self._is_moved(grid)):
             return self.arrangement
-        if (matched := match_by_ids(grid, self.ids)) is not None:
+        if not in_place and (matched := match_by_ids(grid, self.ids)) is not None:
             return matched
         if (matched := self._match_at_rest(grid)) is not None:
             return matched
-        if same and not self.ids.names:
+        if in_place:
             return self.arrangement
         nodes, cells = len(self.mesh.points), len(self.mesh.cell_array.types)
         return make_missing(nodes, cells, self._describe_change(grid))

@@ -15,12 +15,11 @@ from pipeline.errors import MeshError, SeriesError, join_names
 from pipeline.formats.grid import CellArray, Grid, PolyhedronFaces
 from pipeline.mesh.blocks import find_simplices, mirror_cells
 from pipeline.mesh.body_mesh import BodyMesh
-from pipeline.mesh.cell_kinds import TYPES
 from pipeline.mesh.cell_mesh import CellMesh, measure_volumes
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 from pipeline.series.arrangement import Arrangement
 from pipeline.series.cell_arrays import select_array
-from pipeline.series.cell_selection import CellChoice, extract_cells, find_doubled_cells
+from pipeline.series.cell_selection import CellChoice, describe_left_out, extract_cells, find_doubled_cells
 from pipeline.series.cell_sides import compare_sides
 
 PLANAR = 1e-6  # of the size: rounding to single precision leaves a few 1e-7 of it
@@ -36,7 +35,6 @@ class RestMesh:
     mesh: BodyMesh
     arrangement: Arrangement
     notes: tuple[str, ...]
-    counts: dict[str, int]
     left_out: str
 
 
@@ -60,7 +58,7 @@ def build_rest_mesh(
         notes.append(f"{len(doubled)} cells are there twice (first {chosen[doubled[0]]}) and count once")
         chosen, cells = np.delete(chosen, doubled), select_array(cells, np.delete(np.arange(len(chosen)), doubled))
     points, plane, plane_notes = _flatten(rest, cells, choice.dimension, rounding, bends=bends)
-    chosen, cells, cell_notes, left_out = _settle_cells(points, plane, chosen, cells, choice.dimension, rounding, where)
+    chosen, cells, cell_notes, flat = _settle_cells(points, plane, chosen, cells, choice.dimension, rounding, where)
     nodes, cells, unused = _drop_unused(points, cells, merged)
     if unused:
         notes.append(unused)
@@ -70,8 +68,8 @@ def build_rest_mesh(
         mesh = make_mesh(points, cells, choice.dimension, plane, where)
     except MeshError as error:
         raise SeriesError(f"rest state: {error}") from error
-    counts = _count_kinds(cells)
-    return RestMesh(mesh, arrangement, (*notes, *plane_notes, *cell_notes, *mesh.notes), counts, left_out)
+    left_out = describe_left_out(grid, rest, choice, flat, float(mesh.rest_volumes.sum()))
+    return RestMesh(mesh, arrangement, (*notes, *plane_notes, *cell_notes, *mesh.notes), left_out)
 
 
 def make_mesh(points: Floats, cells: CellArray, dimension: int, plane: Floats | None, name: str) -> BodyMesh:
@@ -175,8 +173,8 @@ def _describe_normal(normal: Floats) -> str:
 
 def _settle_cells(
     points: Floats, plane: Floats | None, chosen: Ints, cells: CellArray, dimension: int, rounding: float, where: str
-) -> tuple[Ints, CellArray, list[str], str]:
-    """Return the cells oriented and without flat ones, notes, and the share that is left out as text."""
+) -> tuple[Ints, CellArray, list[str], int]:
+    """Return the cells oriented and without flat ones, notes, and the number of flat ones."""
     volumes = measure_volumes(points, cells, dimension, plane)
     known = np.isfinite(volumes)
     surface = dimension == 2 and points.shape[1] == 3 and plane is None
@@ -199,7 +197,7 @@ def _settle_cells(
             "rest; name another one (rest = FILE)"
         )
     if not flat.any():
-        return chosen, cells, notes, ""
+        return chosen, cells, notes, 0
     count = int(flat.sum())
     text = f"{count} of {len(flat)} cells are flat at rest (first {chosen[np.argmax(flat)]})"
     if (count > _FEW * len(flat) and count > 1) or count == len(flat):
@@ -208,7 +206,7 @@ def _settle_cells(
         )
     notes.append(f"{text} and are left out: they have no volume")
     kept = np.flatnonzero(~flat)
-    return chosen[kept], select_array(cells, kept), notes, f"{count} flat cells"
+    return chosen[kept], select_array(cells, kept), notes, count
 
 
 def _note_mirrored(count: int, cells: CellArray, dimension: int) -> list[str]:
@@ -248,8 +246,3 @@ def _drop_unused(points: Floats, cells: CellArray, merged: Ints | None) -> tuple
     note = f"{alone.sum()} points that belong to no measured cell are left out, first {np.argmax(alone)}"
     cells = cells._replace(connectivity=numbers[cells.connectivity], faces=faces)
     return np.flatnonzero(used), cells, note if alone.any() else ""
-
-
-def _count_kinds(cells: CellArray) -> dict[str, int]:
-    kinds, counts = np.unique(cells.types, return_counts=True)
-    return {TYPES[kind].name: count for kind, count in zip(kinds.tolist(), counts.tolist(), strict=True)}

@@ -77,7 +77,8 @@ class Series:
         """Return the decisions about points, displacement, rest state, cells and times as short texts."""
         if not len(self):
             return self.layout.decisions
-        times = f"{len(self)} frames from {self.times[0]:g} to {self.times[-1]:g} s"
+        counted = ", counted: the files have none" if any("counted from 0" in note for note in self.notes) else ""
+        times = f"{len(self)} from {self.times[0]:g} to {self.times[-1]:g} s{counted}"
         return replace(self.layout.decisions, times=times)
 
     def select_frames(self, indices: Sequence[int]) -> "Series":
