@@ -1,26 +1,27 @@
 """statistics.nc of any recorded series, measured again from its positions."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.errors import SeriesError
 from pipeline.formats.atomic import replace_file
-from pipeline.run.frame import Frame, Values
+from pipeline.run.frame import Frame, Sink, Values
 from pipeline.run.recording import RunSummary, record
 from pipeline.series import Series
 from pipeline.sinks.netcdf import NetcdfSink
 
 
 def write_statistics(
-    series: Series, path: Path, on_frame: Callable[[int, int], None] | None = None
+    series: Series, path: Path, on_frame: Callable[[int, int], None] | None = None, *, frames: Sink | None = None
 ) -> tuple[RunSummary, tuple[str, ...]]:
     """Write statistics.nc of a series, frame by frame; return the summary with its worst volume ratio, and notes.
 
-    The notes sum up frames without numbers of all cells. `on_frame(done, frames)` is called after each frame. Raises
-    SeriesError if a frame cannot be read or if no frame has numbers of cells, OutputError if the file cannot be
-    written.
+    The notes sum up frames without numbers of all cells. `on_frame(done, frames)` is called after each frame; `frames`
+    takes each that has positions, nodes without any at their rest positions. Raises SeriesError if a frame cannot be
+    read or if no frame has numbers of cells, OutputError if a file cannot be written.
     """
 
     def report(frame: Frame, _: RunSummary) -> None:
@@ -29,7 +30,9 @@ def write_statistics(
 
     gaps = _GapCounter()
     with replace_file(path) as hidden:
-        summary = record(iter(series), [_SteadySink(NetcdfSink(hidden, title=series.name)), gaps], on_frame=report)
+        sinks: list[Sink] = [_SteadySink(NetcdfSink(hidden, title=series.name)), gaps]
+        sinks += [] if frames is None else [_WholeSink(frames)]
+        summary = record(iter(series), sinks, on_frame=report)
         if gaps.known == 0:
             raise SeriesError(f"{series.name}: no cell can be measured in any of its frames: {gaps.reason}")
     return summary, gaps.summarize()
@@ -45,6 +48,23 @@ class _SteadySink:
     def write(self, frame: Frame, measured: Values) -> None:
         self._first = self._first or {name: np.full(np.shape(value), np.nan) for name, value in measured.items()}
         self._sink.write(frame, {name: measured.get(name, missing) for name, missing in self._first.items()})
+
+    def close(self) -> None:
+        self._sink.close()
+
+
+class _WholeSink:
+    """A sink that passes frames on with positions of all nodes, as programs that draw them need; others are skipped."""
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
+
+    def write(self, frame: Frame, measured: Values) -> None:
+        lost = np.asarray(~np.isfinite(frame.x).all(axis=1))
+        if lost.all():
+            return
+        x = np.where(lost[:, None], frame.mesh.points, frame.x) if lost.any() else frame.x
+        self._sink.write(replace(frame, x=x), measured)
 
     def close(self) -> None:
         self._sink.close()

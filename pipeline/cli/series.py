@@ -27,6 +27,9 @@ def add_verbs(verbs: Any, shared: SharedOptions) -> None:
     )
     foreign.add_argument("--strict", action="store_true", help="refuse a series that has missing or damaged frames")
     foreign.add_argument("--movie", action="store_true", help="also draw a movie")
+    foreign.add_argument(
+        "--paraview", action="store_true", help="also write frames with volume ratios, and a script for ParaView"
+    )
     foreign.add_argument("--report", action="store_true", help="also write report.html, the results on one page")
     foreign.add_argument("--out", type=Path, metavar="DIR", help=f"folder for results ({_FOLDER}/NAME)")
 
@@ -62,8 +65,9 @@ def _analyze(options: argparse.Namespace) -> int:
         print(series.describe_decisions(), flush=True)
     with show_progress(options.quiet) as bar:
         analysis = analyze(
-            series, options.out, movie=options.movie, on_frame=bar.show_reading, on_drawing=bar.show_picture
-        )
+            series, options.out, movie=options.movie, paraview=options.paraview, on_frame=bar.show_reading,
+            on_drawing=bar.show_picture,
+        )  # fmt: skip
     show_notes(analysis.notes)
     if not options.quiet:
         worst = f"{analysis.worst_volume_ratio:.4f} (cell {analysis.worst_cell}, t = {analysis.worst_time:.4g} s)"
@@ -83,6 +87,7 @@ def _compare(options: argparse.Namespace) -> int:
             options.out,
             movie=options.movie,
             difference=options.difference,
+            paraview=options.paraview,
             on_frame=bar.show_reading,
             on_drawing=bar.show_picture,
         )
@@ -107,7 +112,9 @@ def _report(
 
     values = [("--displacement", options.displacement), ("--rest", options.rest), ("--out", options.out.as_posix())]
     words = [*words, *(word for name, value in values if value for word in (name, value))]
-    words += [f"--{name}" for name in ("strict", "movie", "difference", "report") if getattr(options, name, False)]
+    words += [
+        f"--{name}" for name in ("strict", "movie", "difference", "paraview", "report") if getattr(options, name, False)
+    ]
     path = write_analysis_report(result, series, shlex.join(["pipeline", *words]))
     if not options.quiet:
         print(f"  {path}" if isinstance(result, Analysis) else path)

@@ -17,6 +17,8 @@ from pipeline.analysis.node_distance import NodeDistance
 from pipeline.analysis.statistics import write_statistics
 from pipeline.errors import SeriesError
 from pipeline.formats.netcdf import open_dataset
+from pipeline.results.folder_kinds import check_output_folder
+from pipeline.results.measured_frames import make_frame_sink, write_frame_script
 from pipeline.results.stale_files import hash_file, remove_stale
 from pipeline.series import Series, read_series
 
@@ -59,20 +61,25 @@ class Comparison:
 
 def analyze(
     source: str | os.PathLike[str] | Series, out: str | os.PathLike[str], *, movie: bool = False,
-    on_frame: OnSeriesFrame | None = None, on_drawing: OnDrawing | None = None,
+    paraview: bool = False, on_frame: OnSeriesFrame | None = None, on_drawing: OnDrawing | None = None,
 ) -> Analysis:  # fmt: skip
     """Write statistics.nc, volume.png and, with `movie`, movie.mp4 and movie.png of a series into a folder.
 
+    `paraview` adds series.pvd with the frames, whose cells have their volume ratios, and open_in_paraview.py.
     A path is read with the defaults of read_series. Results of another series in that folder are removed. Raises
     SeriesError if a frame cannot be read or no cell can be measured, OutputError if a file cannot be written or drawn.
     """
     series = source if isinstance(source, Series) else read_series(source)
     out = Path(out)
+    check_output_folder(out)
     statistics, on_own_frame = out / "statistics.nc", _with_name(on_frame, series.name)
     before = hash_file(statistics)
-    summary, gaps = write_statistics(series, statistics, on_own_frame)
+    frames = make_frame_sink(out) if paraview else None
+    summary, gaps = write_statistics(series, statistics, on_own_frame, frames=frames)
     volume, notes = _draw_volume(statistics, out / "volume.png", series.name, series.name)
     files, notes = [statistics, volume], [*series.notes, *gaps, *notes]
+    if frames is not None:
+        files += [frames.index, write_frame_script([series], [out], out)]
     notes += remove_stale(out, statistics, before, files)
     if movie:
         pictures, movie_notes = _draw_movie([series], series.name, out / "movie.mp4", on_drawing)
@@ -85,10 +92,11 @@ def analyze(
 
 def compare(
     sources: Sequence[str | os.PathLike[str] | Series], out: str | os.PathLike[str], *, movie: bool = False,
-    difference: bool = False, on_frame: OnSeriesFrame | None = None, on_drawing: OnDrawing | None = None,
+    difference: bool = False, paraview: bool = False, on_frame: OnSeriesFrame | None = None,
+    on_drawing: OnDrawing | None = None,
 ) -> Comparison:  # fmt: skip
     """Write comparison.nc, volume.png and, with `movie`, movie.mp4 of several series, and the analysis of each in a
-    subfolder.
+    subfolder; `paraview` adds the frames there, and a script that shows all side by side.
 
     The dataset joins them along `variant`. If their times differ, numbers are interpolated linearly to those of the
     series with the fewest frames, within the time that all cover. Numbers of cells need the same cells in all.
@@ -98,8 +106,9 @@ def compare(
     """
     named = _make_names_distinct([s if isinstance(s, Series) else read_series(s) for s in sources])
     plan, out = plan_comparison(named, difference=difference), Path(out)
+    check_output_folder(out)
     series = list(plan.series)
-    analyses = tuple(analyze(s, out / s.name, on_frame=on_frame) for s in series)
+    analyses = tuple(analyze(s, out / s.name, paraview=paraview, on_frame=on_frame) for s in series)
     path = out / "comparison.nc"
     on_time, before = _with_name(on_frame, "difference of nodes"), hash_file(path)
     distances = join_series(plan, [analysis.files[0] for analysis in analyses], path, on_time)
@@ -116,6 +125,8 @@ def compare(
         files.append(_draw_distances(path, out / "distance.png", plan.title))
         if plan.interpolated:
             notes.append("between two frames of a series, nodes are taken to be on the chord between them")
+    if paraview:
+        files.append(write_frame_script(series, [analysis.folder for analysis in analyses], out))
     notes += remove_stale(out, path, before, files)
     if movie:
         pictures, movie_notes = _draw_movie(series, plan.title, out / "movie.mp4", on_drawing)

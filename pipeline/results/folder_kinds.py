@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from pipeline.case import Case, load_case
-from pipeline.errors import CaseError, SeriesError, join_names
+from pipeline.errors import CaseError, OutputError, SeriesError, join_names
 
 _INDICES = ("series.pvd", "series.vtkhdf")
 
@@ -29,6 +29,12 @@ def check_series_folder(path: Path) -> None:
     if variants:
         choices = join_names(str(path / name) for name in variants)
         raise SeriesError(f"{path}: the result folder of a case with {len(variants)} variants: give one, {choices}")
+
+
+def check_output_folder(folder: Path) -> None:
+    """Raise OutputError if a folder holds the results of a run, which an analysis must not overwrite."""
+    if (folder / "run.json").is_file() or (folder / "case.toml").is_file():
+        raise OutputError(f"{folder}: it holds the results of a run, which would be overwritten; choose another --out")
 
 
 def suggest_folder(folder: Path) -> str:

@@ -7,7 +7,8 @@ from pathlib import Path
 from pipeline.errors import OutputError, join_names
 
 # all that an analysis or a comparison writes
-_NAMES = ("statistics.nc", "comparison.nc", "volume.png", "distance.png", "movie.mp4", "movie.png", "report.html")
+_NAMES = ("statistics.nc", "comparison.nc", "volume.png", "distance.png", "movie.mp4", "movie.png", "report.html",
+          "series.pvd", "open_in_paraview.py")  # fmt: skip
 
 
 def hash_file(path: Path) -> str | None:

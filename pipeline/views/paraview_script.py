@@ -17,6 +17,7 @@ from paraview import simple
 RADIUS = 1.0  # colors from 1 - RADIUS to 1 + RADIUS
 VARIANTS = [("name", "name/series.pvd")]  # name, file
 FOLDER = ""  # the folder of this file when it was written
+NORMAL = None  # of planar bodies, if known
 ASIDE, RAISED, LONG = 0.0, 0.0, 1.0  # the movie's camera: see views/camera.py
 # END VALUES
 
@@ -62,13 +63,33 @@ def measure_bounds(readers: list[Any]) -> tuple[list[float], list[float]]:
 
 def choose_directions(size: list[float]) -> tuple[list[float], list[float], list[float]]:
     """Return unit vectors toward the eye, to the right and up: z is up, the longer of x and y lies across."""
-    if size[2] < 1e-9 * max(size):  # planar
-        return [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
+    normal = find_normal(size)
+    if normal is not None:
+        return face_plane(normal)
     a, b = (ASIDE, -1.0) if size[0] > LONG * size[1] else (1.0, ASIDE)
     flat, length = math.hypot(a, b), math.sqrt(a * a + b * b + RAISED**2)
     eye = [a / length, b / length, RAISED / length]
     right = [-b / flat, a / flat, 0.0]
     up = [eye[1] * right[2] - eye[2] * right[1], eye[2] * right[0] - eye[0] * right[2], flat / length]
+    return eye, right, up
+
+
+def find_normal(size: list[float]) -> Any:
+    """Return the normal of planar bodies, given the size of their bounding box; None for others."""
+    if NORMAL is not None:
+        return list(NORMAL)
+    flat = [i for i in range(3) if size[i] < 1e-9 * max(size)]
+    return [float(i == flat[-1]) for i in range(3)] if flat else None
+
+
+def face_plane(normal: list[float]) -> tuple[list[float], list[float], list[float]]:
+    """Return unit vectors toward the eye, to the right and up in a plane: z is up, or y in a plane of constant z."""
+    x, y, z = normal
+    right = [z, 0.0, -x] if abs(z) > 0.999 else [-y, x, 0.0]  # up x normal
+    length = math.sqrt(sum(a * a for a in right)) * (1 if max(right, key=abs) > 0 else -1)
+    right = [a / length for a in right]
+    eye = [n * math.copysign(1.0, length) for n in normal]
+    up = [eye[(i + 1) % 3] * right[(i + 2) % 3] - eye[(i + 2) % 3] * right[(i + 1) % 3] for i in range(3)]
     return eye, right, up
 
 

@@ -94,6 +94,11 @@ def test_folders_that_are_something_else_say_what_to_do(tmp_path, capsys):
         assert main(words) == 2, words
         message = capsys.readouterr().err
         assert message.count("\n") == 1 and wanted in message, (words, message)
+    kept = Path("outputs/beam/polar/statistics.nc").read_bytes()
+    for folder in ("outputs/beam/polar", "outputs/beam"):
+        assert main(["analyze", "outputs/beam/linear", "--out", folder, "--quiet"]) == 4
+        assert "results of a run, which would be overwritten" in capsys.readouterr().err
+    assert Path("outputs/beam/polar/statistics.nc").read_bytes() == kept
 
 
 def test_a_series_without_any_measurable_frame_is_an_error(capsys):

@@ -12,17 +12,19 @@ from pipeline.analysis.statistics import write_statistics
 from pipeline.formats.netcdf import read_dataset
 from pipeline.results.analysis_folder import analyze
 from pipeline.series import read_series
+from pipeline.sinks.vtu import VtuSink
 from pipeline.views.camera import fit_camera
 from pipeline.views.html.page import PageContent, Side, write_page
 from pipeline.views.html.solids import pack_solids
 from pipeline.views.html.worst import find_worst_cells
 from pipeline.views.movie.movie import find_poster_time
 from pipeline.views.palette import INVERTED, UNKNOWN, Palette
+from pipeline.views.paraview import SCRIPT_NAME
 from pipeline.views.plots import write_volume_figure
 from pipeline.views.size_text import describe_size
 from pipeline.views.track import choose_color_radius, find_clipped_ends, read_track
 from tests.any_bodies import BODIES, FLAT, PLANES, TIMES, MovingBody, make_mesh, stretch, twist, write_files
-from tests.bodies import assert_conventional
+from tests.bodies import assert_conventional, skip_figures
 from tests.views.test_movie import count_colorful, film
 from tests.views.test_plots import read_pixels
 
@@ -67,6 +69,27 @@ def test_files_of_every_kind_are_analyzed(tmp_path, name):
     if name != "triangles in xz":
         assert (ours["volume_ratio_min"] <= ours["volume_ratio"] + 1e-9).all()
     assert read_pixels(tmp_path / "out" / "volume.png").shape[0] > 300
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_frames_for_paraview_of_every_kind(tmp_path, monkeypatch, name):
+    """Read by VTK and by our reader: the cells, their volume ratios, and deformed points of the series."""
+    import pyvista
+
+    skip_figures(monkeypatch)
+    body = make_body(name)
+    out, source = tmp_path / "out", read_series(write_files(tmp_path / "files", body.mesh, body.motion))
+    result = analyze(source, out, paraview=True)
+    assert [path.name for path in result.files] == ["statistics.nc", "volume.png", "series.pvd", SCRIPT_NAME]
+    frame = pyvista.read(out / "frames" / "frame_000003.vtu")
+    assert np.array_equal(frame.celltypes, source.mesh.cell_array.types)
+    ratios = read_dataset(out / "statistics.nc")["volume_ratio"].values[3]
+    assert np.array_equal(frame.cell_data["volume_ratio"], ratios)
+    again = read_series(out / "series.pvd")
+    assert np.array_equal(again.read_positions(3), source.read_positions(3))
+    assert again.mesh.rest_volumes == pytest.approx(source.mesh.rest_volumes, rel=1e-12)
+    script = (out / SCRIPT_NAME).read_text()
+    assert ("NORMAL = None" in script) == (name not in PLANAR)
 
 
 @pytest.mark.opengl
@@ -141,6 +164,19 @@ def test_the_film_tells_from_when_on_there_are_no_data(tmp_path):
     lost, known = pixels[-1, 80:120, :300].astype(int), pixels[0, 80:120, :300].astype(int)
     red = lost[..., 0] - lost[..., 1]
     assert (red > 80).sum() > 50 and (known[..., 0] - known[..., 1] > 80).sum() == 0
+
+
+def test_frames_for_paraview_have_positions_of_all_nodes(tmp_path, monkeypatch):
+    """Frames without any positions are left out; nodes that lack one are at rest, and their cells have no ratio."""
+    import pyvista
+
+    for name, kept in (("end", ["0.0", "0.1"]), ("nodes", ["0.0", "0.1", "0.2", "0.3"])):
+        body, sink = make_gaps()[name], VtuSink(tmp_path / name)
+        write_statistics(body, tmp_path / f"{name}.nc", frames=sink)
+        assert re.findall(r'timestep="([^"]*)"', sink.index.read_text()) == kept
+    frame = pyvista.read(tmp_path / "nodes" / "frames" / "frame_000003.vtu")
+    assert np.isfinite(frame.points).all()
+    assert 0 < np.isnan(frame.cell_data["volume_ratio"]).sum() < frame.n_cells
 
 
 def test_scenes_of_bodies_without_data_have_a_color_for_it():

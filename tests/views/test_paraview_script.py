@@ -4,6 +4,7 @@ import ast
 import sys
 from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
 
 from pipeline.case import load_case
@@ -67,3 +68,27 @@ def test_the_script_runs_whole_against_a_stand_in_for_paraview(tmp_path, monkeyp
     simple.SaveScreenshot.assert_called_once_with("picture.png", view, ImageResolution=[1280, 720])
     table = simple.GetColorTransferFunction.return_value
     table.RescaleTransferFunction.assert_called_once_with(0.8, 1.2)
+
+
+@pytest.mark.parametrize(
+    ("normal", "size", "eye", "right", "up"),
+    [
+        (None, (4.0, 1.0, 0.0), (0, 0, 1), (1, 0, 0), (0, 1, 0)),
+        (None, (4.0, 0.0, 1.0), (0, -1, 0), (1, 0, 0), (0, 0, 1)),
+        (None, (0.0, 4.0, 1.0), (1, 0, 0), (0, 1, 0), (0, 0, 1)),
+        ((0.0, 1.0, 0.0), (4.0, 0.1, 1.0), (0, -1, 0), (1, 0, 0), (0, 0, 1)),
+        ((0.6, 0.8, 0.0), (4.0, 3.0, 1.0), (-0.6, -0.8, 0), (0.8, -0.6, 0), (0, 0, 1)),
+    ],
+)
+def test_planar_bodies_are_seen_along_their_normal_as_in_the_film(tmp_path, monkeypatch, normal, size, eye, right, up):
+    monkeypatch.setitem(sys.modules, "paraview", MagicMock())
+    script = write_script(tmp_path, {"a": "series.pvd"}, radius=0.2, normal=normal and np.array(normal))
+    names = {"__name__": "imported"}
+    exec(compile(script.read_text().rpartition("\nmain()")[0], script, "exec"), names)
+    directions = names["choose_directions"](list(size))
+    for direction, expected in zip(directions, (eye, right, up), strict=True):
+        assert direction == pytest.approx(expected)
+    if normal is not None:
+        toward, upward = camera._face_plane(np.array(normal))
+        assert toward == pytest.approx(directions[0])
+        assert np.cross(upward, toward) / np.linalg.norm(np.cross(upward, toward)) == pytest.approx(directions[1])
