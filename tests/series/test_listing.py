@@ -10,12 +10,12 @@ import pytest
 
 from pipeline.cli import main
 from pipeline.errors import SeriesError
+from pipeline.formats.bodies import are_apart
 from pipeline.formats.listed_paths import locate_file
 from pipeline.formats.pvd import read_index
 from pipeline.formats.times import find_resolution, find_time_field, parse_time
 from pipeline.run.measures import measure
 from pipeline.series import read_series
-from pipeline.series.bodies import are_apart
 from pipeline.series.file_names import read_decimals
 from pipeline.series.frame_files import read_grid, read_times
 from pipeline.series.listing import list_frames
