@@ -29,6 +29,10 @@ def measure_any_cells(mesh: CellMesh, x: Floats) -> Measures:
         _measure_block(mesh, rest, local, outputs)
     if mesh.rest_facets is not None:
         _measure_facets(mesh.rest_facets, local, outputs)
+    # the ratio is a mean of det F: rounding must not put it outside
+    ratio = volumes / mesh.rest_volumes
+    np.minimum(ratio_min, ratio, out=ratio_min)
+    np.maximum(ratio_max, ratio, out=ratio_max)
     return outputs
 
 

@@ -154,6 +154,8 @@ def test_kernels_agree_with_numpy(number: int, count: int, shake: float) -> None
     mesh = CellMesh(points, array, d)
     x = points @ rotate(TURN)[:d, :d] + shake * np.random.default_rng(9).normal(size=points.shape)
     ours, expected = measure_cells(mesh, x), measure_by_numpy(mesh, x)
+    ratio = ours.volumes / mesh.rest_volumes
+    assert (ours.ratio_min <= ratio).all() and (ratio <= ours.ratio_max).all()
     scale = np.abs(expected.ratio_max - expected.ratio_min).max() + 1
     assert ours.volumes == pytest.approx(expected.volumes, abs=1e-13 * max(1, np.abs(expected.volumes).max()))
     assert ours.ratio_min == pytest.approx(expected.ratio_min, abs=1e-11 * scale)
