@@ -175,6 +175,19 @@ def test_a_displacement_that_is_not_that_of_the_points_is_kept_beside_it(tmp_pat
     assert dataset["displacement_point"].max(["node", "axis"]).values == pytest.approx([0, 0.4, 0.8])
 
 
+def test_a_small_displacement_agrees_with_the_points_or_is_kept(tmp_path):
+    """A strain of one part in a million, which the points of single precision hold only roughly."""
+    u = [1e-6 * k * (stretch(POINTS, 2.0) - POINTS) for k in range(3)]
+    exact = open_lazily(write(tmp_path, *(({"displacement": field},) for field in u), points=[POINTS + f for f in u]))
+    assert "displacement_point" not in exact
+    (tmp_path / "b").mkdir()
+    rounded = [(POINTS + field).astype(np.float32) for field in u]
+    path = write(tmp_path / "b", *(({"displacement": field},) for field in u), points=rounded)
+    dataset = open_lazily(path, displacement="none", rest="first")
+    found = dataset["displacement_point"] if "displacement_point" in dataset else dataset["displacement"]
+    assert found.max(["node", "axis"]).values == pytest.approx([0, 2e-6, 4e-6], rel=1e-3)
+
+
 def test_decisions_about_the_files_are_attributes(tmp_path):
     u = [stretch(POINTS, 1 + 0.1 * k) - POINTS for k in (1, 2, 3)]
     points = [stretch(POINTS, 1 + 0.1 * k) for k in (1, 2, 3)]
