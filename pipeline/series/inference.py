@@ -59,7 +59,10 @@ def infer_layout(
         choice = choose_displacement(evidence, options.displacement, first, where, known_rest=reference is not None)
     rest = find_rest_state(first, options.rest, reference, source, choice)
     bends = cells.dimension == 2 and not own and _do_points_bend(sample, choice, rest.points, evidence.rounding)
-    built = build_rest_mesh(first, rest.points, cells, evidence.rounding, where, bends=bends, trusted=own)
+    motion = _list_positions(sample, choice) if len(first.parts) > 1 else []
+    built = build_rest_mesh(
+        first, rest.points, cells, evidence.rounding, where, bends=bends, trusted=own, motion=motion
+    )
     layout = _join(first, choice, rest, built, evidence, ours=own)
     if choice.guessed and choice.vector is not None:
         _check_guess_by_cells(layout, sample, where)
@@ -95,6 +98,14 @@ def _rearrange(grid: Grid, first: Grid, ids: IdTable) -> Grid | None:
     return Grid(stored, first.count, first.types, first.offsets, first.connectivity, points, {}, {}, first.faces)
 
 
+def _list_positions(sample: Sample, choice: DisplacementChoice) -> list[Floats]:
+    """Return the deformed points (n, 3) of the frames that have them."""
+    if not choice.added or choice.vector is None:
+        return [grid.points for _, grid in sample]
+    displaced = ((grid.points, choice.vector.read(grid)) for _, grid in sample)
+    return [points + u for points, u in displaced if u is not None]
+
+
 def _do_points_bend(sample: Sample, choice: DisplacementChoice, rest: Floats, rounding: float) -> bool:
     """Return whether a body that is planar at rest leaves its plane in one of the frames."""
     normal, tolerance = find_normal(rest, rounding)
@@ -123,7 +134,17 @@ def _join(
     decisions = Decisions(choice.text, rest.text, cells, left_out=built.left_out)
     own_points = not ours and len(mesh.points) == len(mesh.cell_array.connectivity) and len(mesh.cell_array.types) > 1
     return SeriesLayout(
-        mesh, built.arrangement, choice, bare, ids, notes, decisions, evidence.rounding, own_points, trusted=ours
+        mesh,
+        built.arrangement,
+        choice,
+        bare,
+        ids,
+        notes,
+        decisions,
+        evidence.rounding,
+        own_points,
+        trusted=ours,
+        twins=built.twins,
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.arrays import Floats
+from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshChangedError, SeriesError, join_names, shorten
 from pipeline.formats.grid import Grid
 from pipeline.mesh.body_mesh import BodyMesh
@@ -25,7 +25,7 @@ from pipeline.series.arrangement import (
 )
 from pipeline.series.decisions import Decisions
 from pipeline.series.displacement import DisplacementChoice
-from pipeline.series.rest_mesh import PLANAR
+from pipeline.series.rest_mesh import PLANAR, allow_gap
 from pipeline.series.vector_fields import find_vector_fields
 from pipeline.series.whole_body import measure_whole_body
 
@@ -64,6 +64,7 @@ class SeriesLayout:
     rounding: float = 0.0  # of the points [m]
     own_points: bool = False  # every cell has its own points, so that their connectivity tells no order
     trusted: bool = False  # recorded by this program: all frames have the same mesh
+    twins: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))  # see RestMesh
     _last: list[tuple[Grid, Arrangement]] = field(default_factory=list, init=False, repr=False)
 
     @property
@@ -156,6 +157,8 @@ class SeriesLayout:
             return np.full(self.mesh.points.shape, np.nan), arrangement.fault
         self._check_guess(grid, arrangement, where)
         points, fault = self.deform(grid)
+        if arrangement is self.arrangement and (gap := self._find_gap(points)):
+            return np.full(self.mesh.points.shape, np.nan), gap
         points = arrangement.select_nodes(points)
         bad = np.asarray(~(np.abs(points) < _LARGEST).all(axis=1))  # negated so that NaN counts too
         if bad.any() and not fault:
@@ -164,6 +167,16 @@ class SeriesLayout:
         if self.mesh.points.shape[1] == 2:
             return self._drop_z(points, fault)
         return self._check_plane(np.ascontiguousarray(points), fault)
+
+    def _find_gap(self, points: Floats) -> str:
+        """Return the fault if points (n, 3) that are one node have moved apart, as bodies in contact do."""
+        if not len(self.twins):
+            return ""
+        a, b = points[self.twins.T]
+        distances = np.nan_to_num(np.abs(a - b).max(axis=1))
+        if distances.max() <= allow_gap(points, self.rounding):
+            return ""
+        return f"parts that touch at rest move apart by {distances.max():.3g} m: read each part by itself"
 
     def deform(self, grid: Grid) -> tuple[Floats, str]:
         """Return the deformed points of a grid (n, 3), and a fault if it lacks the displacement."""

@@ -4,6 +4,7 @@ A cell without volume at rest is left out with a note, because its volume ratio 
 into its neighbor is an error, because then the rest state is not one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,26 +31,35 @@ _FLAT = 1e-13  # of the cube (square) of a cell's size: rounding of its volume
 
 @dataclass(frozen=True, eq=False)
 class RestMesh:
-    """The mesh, the place of its nodes and cells in the first frame, and notes."""
+    """The mesh, the place of its nodes and cells in the first frame, and notes.
+
+    `twins` (k, 2) are the points of the first frame that are one node with another, and that other.
+    """
 
     mesh: BodyMesh
     arrangement: Arrangement
     notes: tuple[str, ...]
     left_out: str
+    twins: Ints
 
 
 def build_rest_mesh(
-    grid: Grid, rest: Floats, choice: CellChoice, rounding: float, where: str, *, bends: bool, trusted: bool = False
-) -> RestMesh:
+    grid: Grid, rest: Floats, choice: CellChoice, rounding: float, where: str, *, bends: bool, trusted: bool = False,
+    motion: Sequence[Floats] = (),
+) -> RestMesh:  # fmt: skip
     """Return the mesh of the chosen cells of a grid with rest positions (n, 3); raises SeriesError.
 
     `rounding` is that of the points [m]; `bends` says that a later frame leaves the plane of a planar body; in a
-    `trusted` grid no cell is there twice.
+    `trusted` grid no cell is there twice; `motion` has the positions (n, 3) of some frames: parts may move apart.
     """
     chosen, cells, notes = choice.cells, extract_cells(grid, choice.cells), list(choice.notes)
     _check_finite(rest, cells, where)
-    merged = None
+    merged, twins = None, np.zeros((0, 2), dtype=np.int64)
     if grid.parts and (merged := merge_parts(rest, grid.parts, rounding)) is not None:
+        merged, apart = _keep_apart(merged, motion, rounding)
+        notes += apart
+        used = np.unique(cells.connectivity)
+        twins = np.stack([used, merged[used]], axis=1)[merged[used] != used]
         joined = merged[cells.connectivity]
         if count := len(np.unique(cells.connectivity)) - len(np.unique(joined)):
             notes.append(f"{count} points of different parts coincide with others at rest and count as one node each")
@@ -69,7 +79,7 @@ def build_rest_mesh(
     except MeshError as error:
         raise SeriesError(f"rest state: {error}") from error
     left_out = describe_left_out(grid, rest, choice, flat, float(mesh.rest_volumes.sum()))
-    return RestMesh(mesh, arrangement, (*notes, *plane_notes, *cell_notes, *mesh.notes), left_out)
+    return RestMesh(mesh, arrangement, (*notes, *plane_notes, *cell_notes, *mesh.notes), left_out, twins)
 
 
 def make_mesh(points: Floats, cells: CellArray, dimension: int, plane: Floats | None, name: str) -> BodyMesh:
@@ -108,6 +118,26 @@ def merge_parts(rest: Floats, parts: tuple[int, ...], rounding: float) -> Ints |
     for a, b in np.sort(pairs, axis=1)[np.lexsort(np.sort(pairs, axis=1).T)].tolist():
         merged[b] = min(merged[b], merged[a])
     return merged.astype(np.int64) if len(pairs) else None
+
+
+def _keep_apart(merged: Ints, motion: Sequence[Floats], rounding: float) -> tuple[Ints, list[str]]:
+    """Return the points that stand for others (n,), without those that leave them later, and a note on these.
+
+    Bodies in contact touch at rest, and slide or open later.
+    """
+    leaves: NDArray[np.bool_] = np.zeros(len(merged), dtype=bool)
+    for x in motion:
+        leaves |= np.abs(x - x[merged]).max(axis=1) > allow_gap(x, rounding)  # False for NaN
+    if not leaves.any():
+        return merged, []
+    note = f"{leaves.sum()} points of different parts coincide with others at rest and move apart later"
+    return np.where(leaves, np.arange(len(merged)), merged), [f"{note}: they stay nodes of their own"]
+
+
+def allow_gap(x: Floats, rounding: float) -> float:
+    """Return the distance [m] up to which points (n, 3) that were one at rest still are."""
+    size = float(np.ptp(x[np.isfinite(x).all(axis=1)], axis=0).max(initial=0.0))
+    return max(PLANAR * size, 4 * rounding)
 
 
 def _renumber_faces(cells: CellArray, merged: Ints) -> PolyhedronFaces | None:
