@@ -3,6 +3,7 @@
 import argparse
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,7 @@ def _analyze(options: argparse.Namespace) -> int:
 def _compare(options: argparse.Namespace) -> int:
     from pipeline.results.analysis_folder import compare
 
-    series = [_read(options, path) for path in options.series]
+    series = _name_by_folders([_read(options, path) for path in options.series])
     options.out = options.out or _FOLDER / "_and_".join(s.name for s in series)[:_LONGEST_NAME]
     with show_progress(options.quiet) as bar:
         comparison = compare(
@@ -100,6 +101,14 @@ def _compare(options: argparse.Namespace) -> int:
             print(f"{distance.name}: nodes up to {worst} from {first}; RMS up to {distance.rms:.4g} m")
     _report(options, comparison, series, ["compare", *options.series])
     return 0
+
+
+def _name_by_folders(series: list[Series]) -> list[Series]:
+    """Return the series, named by their folders if their own names are equal: a/out.pvd and b/out.pvd are a and b."""
+    folders = [s.folder.resolve().name for s in series]
+    if len({s.name for s in series}) == len(series) or len(set(folders)) < len(series):
+        return series
+    return [replace(s, name=folder) for s, folder in zip(series, folders, strict=True)]
 
 
 def _report(

@@ -67,6 +67,14 @@ def test_every_series_has_a_folder_of_its_own(capsys):
     assert Path("outputs/analysis/first_and_second/comparison.nc").is_file()
 
 
+def test_files_of_one_name_are_told_apart_by_their_folders(capsys):
+    for name, write in (("a", write_displaced), ("b", write_larger)):
+        write_pvd(name, write)
+        Path(f"{name}/{name}.pvd").rename(f"{name}/out.pvd")
+    assert main(["compare", "a/out.pvd", "b/out.pvd"]) == 0
+    assert sorted(path.name for path in Path("outputs/analysis/a_and_b").iterdir() if path.is_dir()) == ["a", "b"]
+
+
 def test_results_of_another_series_are_removed_from_a_named_folder(capsys):
     first, second = write_pvd("first", write_displaced), write_pvd("second", write_larger)
     assert main(["analyze", first, "--out", "out", "--report"]) == 0

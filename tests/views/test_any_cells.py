@@ -204,6 +204,33 @@ def test_the_page_of_a_mixture_and_of_lost_data(tmp_path):
     assert "% at t = 0.1 s" in text and "smallest det F in it" in text
 
 
+@pytest.mark.browser
+def test_the_page_opens_in_a_browser_and_says_from_when_on_there_are_no_data(tmp_path, chromium):
+    pytest.importorskip("k3d")
+    from playwright.sync_api import sync_playwright
+
+    bodies = [make_gaps()["end"], make_body("curved tetrahedra"), make_body("polyhedra"), make_body("shell")]
+    sides = []
+    for body in bodies:
+        write_statistics(body, tmp_path / body.name / "statistics.nc")
+        sides.append(Side(body.name, body, tmp_path / body.name / "statistics.nc"))
+    path = write_page(PageContent("Any cells", tuple(sides)), tmp_path / "report.html")
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium)
+        page, heard = browser.new_page(), []
+        page.on("console", lambda message: message.type == "error" and heard.append(message.text))
+        page.on("pageerror", lambda error: heard.append(str(error)))
+        page.goto(path.as_uri())
+        page.wait_for_selector("#bodies[data-ready]", state="attached")
+        page.locator("#worst button").nth(6).click()  # of the second body, in the last frame
+        captions = page.locator("figure.body figcaption").all_text_contents()
+        keys = page.locator("#bar .inverted").all_text_contents()
+        browser.close()
+    assert heard == [] and keys == ["no data"]
+    assert captions[0].startswith("end") and captions[0].endswith(", no cell data from t = 0.200 s")
+    assert captions[1:] == ["curved tetrahedra", "polyhedra", "shell"]
+
+
 def test_worst_cells_have_their_extremes(tmp_path):
     body = make_body("curved tetrahedra")
     write_statistics(body, tmp_path / "statistics.nc")
