@@ -59,9 +59,8 @@ def write_deck(path, kind, points, cells, binary):
         length = t - TIMES[TIMES.index(t) - 1]
         lines += ["*STEP, NLGEOM, INC=100", "*STATIC", f"{length:g}, {length:g}", "*BOUNDARY"]
         lines += [f"{i + 1}, {a + 1}, {a + 1}, {u[i, a]:.12g}" for i in ends for a in range(3)]
-        lines += (
-            ["*NODE OUTPUT", "U, RF", "*ELEMENT OUTPUT", "S"] if binary else ["*NODE FILE", "U, RF", "*EL FILE", "S"]
-        )
+        words = ("*NODE OUTPUT", "*ELEMENT OUTPUT") if binary else ("*NODE FILE", "*EL FILE")
+        lines += [words[0], "U, RF", words[1], "S"] if kind == "C3D20" else [words[0], "U"]
         lines += ["*NODE PRINT, NSET=ALL", "U", "*END STEP"]
     path.write_text("\n".join(lines) + "\n")
 

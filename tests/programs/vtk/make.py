@@ -88,7 +88,7 @@ def main():
         writer.SetInputConnection(source.GetOutputPort())
         writer.SetFileName(str(HERE / name))
         writer.SetWriteAllTimeSteps(True)
-        writer.SetChunkSize(200)  # the default of 25 000 fills small files with zeros
+        writer.SetChunkSize(50)  # the default of 25 000 fills small files with zeros
         writer.Write()
     X, cells, kinds = make_mesh()
     results = []
