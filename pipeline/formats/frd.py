@@ -167,6 +167,8 @@ def _skip_elements(raw: bytes, place: int, count: int) -> int:
     """Return the place behind binary elements: four numbers and the nodes of each."""
     for _ in range(count):
         kind = int.from_bytes(raw[place + 4 : place + 8], "little")
+        if kind not in _TYPES:
+            raise ValueError(f"it has an element of the type {kind}")
         place += 16 + 4 * len(_TYPES[kind][1])
     return place
 

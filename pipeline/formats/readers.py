@@ -3,6 +3,7 @@
 These readers run in the calling process, which a damaged file can crash, so foreign files are read through the sandbox.
 """
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -107,8 +108,14 @@ TEMPORAL_SUFFIXES = tuple(name for name, row in READERS.items() if row.has_steps
 TEMPORAL_NAMES = tuple(name for name, row in READERS.items() if row.has_steps and not name.startswith("."))
 
 
+# MOOSE goes on in another file when the mesh has changed: out.e, out.e-s002
+_RESTART = re.compile(r"\.(e|ex2|exo|exodus)-s\d+")
+
+
 def find_format(file: Path) -> FrameReader | None:
     """Return the row of a file's name or suffix, None if there is none."""
+    if _RESTART.fullmatch(file.suffix):
+        return READERS[".e"]
     return READERS.get(file.name) or READERS.get(file.suffix.lower())
 
 

@@ -68,6 +68,9 @@ def find_ensight_fault(file: Path, _count: int) -> str | None:
             section = line.strip()
         elif ":" in line and section in sections and line.split():
             sections[section].append(line.split()[-1].strip('"'))
+    for pattern in (name for names in sections.values() for name in names):
+        if reason := find_outside_name(pattern):
+            return reason
     lengths = {pattern: _list_lengths(file.parent, pattern) for names in sections.values() for pattern in names}
     if any(_are_cut(lengths[pattern]) for pattern in sections["GEOMETRY"]):
         return None
@@ -81,8 +84,6 @@ def find_ensight_fault(file: Path, _count: int) -> str | None:
 
 def _list_lengths(folder: Path, pattern: str) -> dict[str, int]:
     """Return the lengths of the files that a pattern names, in which * stands for a digit."""
-    if find_outside_name(pattern):
-        return {}
     return {str(f.relative_to(folder)): f.stat().st_size for f in folder.glob(pattern.replace("*", "[0-9]"))}
 
 

@@ -4,13 +4,14 @@ VTK's errors become a SeriesError; nothing is printed.
 """
 
 import contextlib
+import glob
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pipeline.errors import SeriesError, shorten
+from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.grid import Grid
 from pipeline.formats.vtk_data import make_grid
 from pipeline.formats.vtu_steps import cut_out_step, find_step_times
@@ -55,7 +56,8 @@ class VtkReader(NamedTuple):
             else:
                 reader.Update()
         grid = make_grid(reader.GetOutputDataObject(0), file, node_number=self.node_number)
-        return grid if not self.dropped else _drop_fields(grid, self.dropped)
+        grid = _drop_fields(grid, self.dropped) if self.dropped else grid
+        return _note_restarts(grid, file) if self.node_number else grid
 
     def read_times(self, file: Path) -> list[float] | None:
         """Return the times [s] stored in a file, None if there are none; raises SeriesError."""
@@ -109,6 +111,14 @@ def read_legacy_times(file: Path) -> list[float] | None:
     """Return the time [s] of a legacy file, known only after all of it has been read; None if there is none."""
     value = LEGACY.read(file, 0).field_data.get("TimeValue") if b"TimeValue" in file.read_bytes() else None
     return None if value is None else [float(value.ravel()[0])]
+
+
+def _note_restarts(grid: Grid, file: Path) -> Grid:
+    """Return the grid with a note if the series goes on in files that are not read with this one (out.e-s002)."""
+    others = sorted(other.name for other in file.parent.glob(f"{glob.escape(file.name)}-s[0-9]*"))
+    if not others:
+        return grid
+    return replace(grid, notes=(*grid.notes, f"the series goes on in {join_names(others)}: name one to read it"))
 
 
 def _drop_fields(grid: Grid, names: tuple[str, ...]) -> Grid:

@@ -40,3 +40,8 @@ def test_a_package_that_is_missing_is_marked(capsys, monkeypatch):
 def test_formats_are_found_by_suffix_or_by_name():
     assert is_temporal(Path("a/d3plot")) and is_temporal(Path("B.E")) and not is_temporal(Path("a.vtu"))
     assert find_format(Path("a/d3plot.txt")) is None and find_format(Path("a/other")) is None
+
+
+def test_the_page_has_every_format():
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
+    assert [name for name in (*READERS, *INDEX_SUFFIXES) if f"`{name}`" not in page] == []

@@ -227,3 +227,41 @@ def test_damaged_files_are_one_line_or_read_as_they_were(tmp_path, name):
         file.write_bytes(whole)
     assert refused > 2
     read_grid(path, 2)
+
+
+def test_restarts_of_exodus_are_told(tmp_path):
+    """With another mesh from some time on, MOOSE begins another file."""
+    path = write_blocks(tmp_path / "out.e")
+    assert read_grid(path, 0).notes == ()
+    restart = write_blocks(tmp_path / "out.e-s002")
+    assert any("out.e-s002" in note for note in read_grid(path, 0).notes)
+    assert np.array_equal(read_grid(restart, 2).point_data["DISPL"], read_grid(path, 2).point_data["DISPL"])
+    assert len(read_series(restart, displacement="DISPL")) == 3
+
+
+def test_a_decomposed_case_of_openfoam(tmp_path):
+    for number in range(2):
+        part = tmp_path / f"processor{number}"
+        part.mkdir()
+        write_foam(part)
+        points = part / "constant" / "polyMesh" / "points"
+        points.write_text(points.read_text().replace("(2.0 ", f"({2.0 + number} "))
+    (tmp_path / "processor0" / "system").rename(tmp_path / "system")
+    (tmp_path / "bar.foam").write_text("")
+    grid = read_grid(tmp_path / "bar.foam", 1)
+    assert sorted(grid.types.tolist()) == [12, 12, 42, 42] and grid.count == 24
+    assert grid.points[:, 0].max() == 3 and grid.point_data["pointDisplacement"].max() == 0.5
+
+
+def test_ensight_files_outside_the_folder_are_refused(tmp_path):
+    path = write_parts(tmp_path)
+    path.write_text(path.read_text().replace("bar.geo", "../other/bar.geo"))
+    with pytest.raises(SeriesError, match="outside"):
+        read_grid(path, 0)
+
+
+def test_hdf5_that_is_no_vtkhdf_is_one_line(tmp_path):
+    with h5py.File(tmp_path / "a.hdf", "w") as file:
+        file["x"] = np.arange(3)
+    with pytest.raises(SeriesError, match=r"a\.hdf: cannot be read"):
+        read_grid(tmp_path / "a.hdf")
