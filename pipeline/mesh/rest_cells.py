@@ -8,6 +8,7 @@ integrands are polynomials that the quadrature integrates exactly.
 For surfaces in space det J0 is |T_1 x T_2|, and F = sum_a x_a (x) G_a + n (x) N with the unit normals n and N.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,52 +89,50 @@ def prepare_block(points: Floats, block: KindBlock) -> RestBlock:
         with np.errstate(divide="ignore", invalid="ignore"):
             inverse[part] = np.where(np.abs(dets) > _DEGENERATE * scale, 1 / dets, np.nan)
             shares = samples.weights / volume[:, None]
-        cofactors = shares[:, :, None, None] * _compute_cofactors(J, dets)
-        flat = np.swapaxes(cofactors, 1, 2).reshape(len(X) * c, -1) @ np.swapaxes(derivatives, 1, 2).reshape(-1, k)
-        gradients[part] = np.swapaxes(flat.reshape(len(X), c, k), 1, 2)
+        products = [shares * t @ derivatives[:, :, j] for j, t in enumerate(_compute_cofactors(J, dets))]
+        gradients[part] = np.moveaxis(sum(products[1:], products[0]), 0, -1)
         if c > d:
-            normals[part] = shares[:, :, None] * np.cross(J[..., 0], J[..., 1])
+            normals[part] = np.moveaxis(shares * _cross(J[0], J[1]), 0, -1)
     if block.kind.is_linear_simplex and c == d:  # the same to rounding, but with the bits of a mesh of simplices
         gradients = compute_shape_gradients(points, block.connectivity)
     return RestBlock(block, samples, derivatives, volumes, inverse, gradients, normals)
 
 
-def _iterate_parts(points: Floats, block: KindBlock) -> list[tuple[slice, Floats]]:
-    """Return slices of the block and their nodes relative to the first one of each cell (…, k, c)."""
-    parts = []
+def _iterate_parts(points: Floats, block: KindBlock) -> Iterator[tuple[slice, Floats]]:
+    """Yield slices of the block and their nodes relative to the first one of each cell, components first (c, …, k)."""
+    by_component = np.ascontiguousarray(points.T)
     for first in range(0, len(block.cells), _AT_A_TIME):
         part = slice(first, min(first + _AT_A_TIME, len(block.cells)))
         nodes = block.connectivity[part]
-        parts.append((part, points[nodes] - points[nodes[:, :1]]))
-    return parts
+        yield part, by_component[:, nodes] - by_component[:, nodes[:, :1]]
 
 
 def _compute_jacobians(X: Floats, derivatives: Floats) -> Floats:
-    """Return dX/dxi (m, q, c, d) of cells X (m, k, c)."""
-    q, k, d = derivatives.shape
-    flat = np.swapaxes(X, 1, 2).reshape(-1, k) @ np.swapaxes(derivatives, 0, 1).reshape(k, q * d)
-    return np.ascontiguousarray(np.swapaxes(flat.reshape(len(X), X.shape[2], q, d), 1, 2))
+    """Return the tangents dX/dxi_j (d, c, m, q) of cells X (c, m, k)."""
+    return np.stack([X @ derivatives[:, :, j].T for j in range(derivatives.shape[2])])
 
 
 def _compute_dets(J: Floats) -> Floats:
     """Return det J (m, q), or |t_1 x t_2| of surfaces in space."""
-    if J.shape[-1] == 3:
-        return np.asarray(np.einsum("mqc,mqc->mq", J[..., 0], np.cross(J[..., 1], J[..., 2])))
-    if J.shape[-2] == 2:
-        return np.asarray(J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0])
-    return np.linalg.norm(np.cross(J[..., 0], J[..., 1]), axis=-1)
+    if len(J) == 3:
+        return np.asarray((J[0] * _cross(J[1], J[2])).sum(axis=0))
+    if J.shape[1] == 2:
+        return np.asarray(J[0, 0] * J[1, 1] - J[1, 0] * J[0, 1])
+    return np.asarray(np.sqrt((_cross(J[0], J[1]) ** 2).sum(axis=0)))
 
 
-def _compute_cofactors(J: Floats, dets: Floats) -> Floats:
-    """Return det J times the inverse transpose of J (m, q, c, d); of surfaces, that of the tangent plane."""
-    if J.shape[-1] == 3:
-        a, b, c = J[..., 0], J[..., 1], J[..., 2]
-        return np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)
-    if J.shape[-2] == 2:
-        a, b = J[..., 0], J[..., 1]
-        columns = [np.stack([b[..., 1], -b[..., 0]], axis=-1), np.stack([-a[..., 1], a[..., 0]], axis=-1)]
-        return np.stack(columns, axis=-1)
-    a, b = J[..., 0], J[..., 1]
-    aa, ab, bb = ((u * v).sum(axis=-1, keepdims=True) for u, v in ((a, a), (a, b), (b, b)))
-    safe = np.where(dets > 0, dets, 1.0)[:, :, None]  # flat surfaces are refused afterwards
-    return np.stack([(bb * a - ab * b) / safe, (aa * b - ab * a) / safe], axis=-1)
+def _compute_cofactors(J: Floats, dets: Floats) -> list[Floats]:
+    """Return the columns (c, m, q) of det J times the inverse transpose of J; of surfaces, in the tangent plane."""
+    if len(J) == 3:
+        return [_cross(J[1], J[2]), _cross(J[2], J[0]), _cross(J[0], J[1])]
+    a, b = J
+    if J.shape[1] == 2:
+        return [np.stack([b[1], -b[0]]), np.stack([-a[1], a[0]])]
+    aa, ab, bb = (a * a).sum(axis=0), (a * b).sum(axis=0), (b * b).sum(axis=0)
+    safe = np.where(dets > 0, dets, 1.0)  # flat surfaces are refused afterwards
+    return [(bb * a - ab * b) / safe, (aa * b - ab * a) / safe]
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Return a x b, components first."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
