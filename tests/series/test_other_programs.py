@@ -88,6 +88,19 @@ def test_the_numbers_are_those_of_the_program(folder, entry):
     assert worst > 0.01, "a series that stays at rest tests nothing"
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("folder", "entry"), [entry for entry in list_entries() if "total_volume" in entry.values[1]])
+def test_analyze_finds_the_worst_cell_of_the_program(folder, entry, tmp_path):
+    analysis = analyze(folder / entry["series"], tmp_path, **entry.get("options", {}))
+    ratios = np.array(entry["volume_ratio"])
+    frame, _ = np.unravel_index(np.abs(ratios - 1).argmax(), ratios.shape)
+    tolerance = 10 * entry.get("accuracy", 1e-8)
+    assert abs(analysis.worst_volume_ratio - 1) == pytest.approx(np.abs(ratios - 1).max(), abs=tolerance)
+    assert analysis.worst_time == pytest.approx(entry["times"][frame], rel=1e-6)
+    with xarray.open_dataset(tmp_path / "statistics.nc", engine="netcdf4") as data:
+        assert data["total_volume"].values == pytest.approx(np.array(entry["total_volume"]), rel=tolerance)
+
+
 def write_felupe_result(folder: Path) -> Path:
     """Return a file of felupe: a cube of neo-Hookean tetrahedra, pulled by 30 % in five steps."""
     import felupe
