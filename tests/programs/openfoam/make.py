@@ -1,6 +1,6 @@
 """Files of OpenFOAM 1912 (Debian): a box, twisted by moveDynamicMesh; the case, and by foamToVTK and foamToEnsight.
 
-    apt install openfoam;  python3 make.py
+    apt install openfoam openmpi-bin;  python3 make.py
 
 And solidDisplacementFoam, whose only displacement is the field D, small and at cells.
 """
@@ -84,7 +84,8 @@ def run(folder, *commands):
 
 def copy_case(case):
     """Copy mesh, motion and fields beside this script, and make the empty file .foam that names the case."""
-    unneeded = shutil.ignore_patterns("uniform", "*.obj", "meshPhi", "VTK", "system", "sigma*", "*Properties", "*Zones")
+    unneeded = shutil.ignore_patterns("uniform", "*.obj", "meshPhi", "VTK", "system", "sigma*", "*Properties", "*Zones",
+                                      "*ProcAddressing")  # fmt: skip
     shutil.copytree(case, HERE / case.name, ignore=unneeded)
     shutil.copytree(case / "system", HERE / case.name / "system", ignore=shutil.ignore_patterns("fv*", "blockMeshDict"))
     (HERE / case.name / f"{case.name}.foam").touch()
@@ -142,7 +143,7 @@ def make_cells():
 
 
 def main():
-    for name in ("twist", "vtk", "ensight", "solid", "polyhedra"):
+    for name in ("twist", "vtk", "ensight", "solid", "polyhedra", "decomposed"):
         shutil.rmtree(HERE / name, ignore_errors=True)
     with tempfile.TemporaryDirectory() as temporary:
         case = Path(temporary) / "twist"
@@ -150,6 +151,12 @@ def main():
         run(case, "blockMesh", "moveDynamicMesh", "foamToVTK -ascii -no-boundary", "foamToEnsight -ascii -noPatches")
         shutil.move(case / "VTK", HERE / "vtk")
         shutil.move(case / "EnSight", HERE / "ensight")
+        copy_case(case)
+        case = Path(temporary) / "decomposed"
+        write_case(case, MOTION | {"system/decomposeParDict": "numberOfSubdomains 2; method simple;\n"
+                                   "simpleCoeffs { n (2 1 1); delta 0.001; }\n"})  # fmt: skip
+        run(case, "blockMesh", "decomposePar", "mpirun --allow-run-as-root -n 2 moveDynamicMesh -parallel")
+        shutil.rmtree(case / "constant" / "polyMesh")
         copy_case(case)
         case = Path(temporary) / "polyhedra"
         write_case(case, MOTION)
@@ -181,7 +188,12 @@ def main():
                 gradients=[r[2] for r in results],
                 accuracy=2e-6 if "foam" in series else 2e-5,  # their other writers give six digits
             )
-            for series in ("twist/twist.foam", "vtk/twist.vtm.series", "ensight/twist.case")
+            for series in (
+                "twist/twist.foam",
+                "decomposed/decomposed.foam",
+                "vtk/twist.vtm.series",
+                "ensight/twist.case",
+            )
         ),
     )
 
