@@ -9,7 +9,7 @@ import numpy as np
 # VTK's cell types with a fixed number of corners
 SIZES = {1: 1, 3: 2, 5: 3, 8: 4, 9: 4, 10: 4, 11: 8, 12: 8, 13: 6, 14: 5, 21: 3, 22: 6, 23: 8, 24: 10, 25: 20, 26: 15,
          27: 13, 28: 9, 29: 27, 32: 18}  # fmt: skip
-_SOLIDS = (10, 12, 13, 14, 24, 25)
+SOLIDS = (10, 12, 13, 14, 24, 25)
 TYPES = "f4 f8 i1 i2 i4 i8 u1 u2 u4 u8".split()
 NAMES = ("u", "Displacement", "T", "Von Mises [MPa]", "p'", "σ", "a<b&c", "id", "stress")
 NO_MARKUP = tuple(name for name in NAMES if not set(name) & set("<&'"))
@@ -71,7 +71,7 @@ def make_content(
     n = int(random.integers(30, 60)) if random.random() < 0.5 else 27
     points = make_values(random, n, str(random.choice(["f4", "f8", "f8"])), 3).astype(np.float64) * 1.0
     points = np.clip(points, -1e20, 1e20)
-    pool = kinds or (tuple(SIZES) if random.random() < 0.5 else (int(random.choice(_SOLIDS)),))
+    pool = kinds or (tuple(SIZES) if random.random() < 0.5 else (int(random.choice(SOLIDS)),))
     chosen = random.choice(pool, size=int(random.integers(least, 8))).astype(np.uint8)
     cells = [random.choice(n, size=SIZES[int(kind)], replace=False) for kind in chosen]
     offsets = np.cumsum([0, *map(len, cells)]).astype(np.int64)

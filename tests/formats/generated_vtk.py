@@ -14,6 +14,7 @@ import numpy as np
 from tests.formats.generated_content import (
     NO_MARKUP,
     PLAIN_NAMES,
+    SOLIDS,
     Content,
     add_polyhedra,
     join_contents,
@@ -148,8 +149,11 @@ def write_vtu_by_hand(random: np.random.Generator, path: Path) -> Content:
 
 
 def _make_alike(random: np.random.Generator, content: Content) -> Content:
-    """Another content with fields of the same names and types."""
-    other = make_content(random)
+    """Another content with fields of the same names and types.
+
+    It has solid cells: pieces with surfaces alone beside those with solids are left out, with a note.
+    """
+    other = make_content(random, kinds=SOLIDS)
     for kind, count in (("point_data", len(other.points)), ("cell_data", len(other.types))):
         fields = {
             name: make_values(random, count, v.dtype.str[1:], 1 if v.ndim == 1 else v.shape[1])
@@ -277,7 +281,7 @@ def write_legacy(random: np.random.Generator, path: Path) -> Content:
 
 def write_pvtu(random: np.random.Generator, path: Path) -> Content:
     """A parallel file of one to three pieces beside it or in a folder."""
-    first = make_content(random, names=PLAIN_NAMES)
+    first = make_content(random, kinds=SOLIDS, names=PLAIN_NAMES)
     contents = [first, *(_make_alike(random, first) for _ in range(int(random.integers(0, 3))))]
     folder = str(random.choice(["", "pieces/"]))
     (path.parent / folder).mkdir(exist_ok=True)
@@ -312,7 +316,7 @@ def write_vtm(random: np.random.Generator, path: Path) -> Content:
     """A file of one to three blocks."""
     import vtk
 
-    first = make_content(random, names=NO_MARKUP)
+    first = make_content(random, kinds=SOLIDS, names=NO_MARKUP)
     contents = [first, *(_make_alike(random, first) for _ in range(int(random.integers(0, 3))))]
     blocks = vtk.vtkMultiBlockDataSet()
     for k, content in enumerate(contents):
