@@ -193,7 +193,7 @@ def test_decisions_about_the_files_are_attributes(tmp_path):
     points = [stretch(POINTS, 1 + 0.1 * k) for k in (1, 2, 3)]
     attributes = open_lazily(write(tmp_path, *(({"u": field},) for field in u), points=points)).attrs
     assert attributes["points"] == "deformed points, which contain u" and "minus u" in attributes["rest_state"]
-    assert attributes["cells"] == "12 tetrahedra in 3D" and attributes["times"] == "3 frames from 0 to 0.2 s"
+    assert attributes["cells"] == "12 tetrahedra in 3D" and attributes["times"].endswith("from 0 to 0.2 s")
     (tmp_path / "b").mkdir()
     path = write(tmp_path / "b", *(({"u": field - u[0]},) for field in u), points=[POINTS] * 3)
     with open_lazily(path) as dataset:
