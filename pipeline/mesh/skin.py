@@ -78,22 +78,35 @@ class FaceGroup(NamedTuple):
     outline: Ints
 
 
-def find_skin(mesh: BodyMesh) -> Skin:
-    """Return the skin of a body; that of linear simplices has its boundary faces in their order."""
+def find_skin(mesh: BodyMesh, joined: Ints | None = None) -> Skin:
+    """Return the skin of a body; that of linear simplices has its boundary faces in their order.
+
+    `joined` (n,) are the nodes that stand for others at the same place, if cells have points of their own: faces
+    between such cells are not drawn.
+    """
     if isinstance(mesh, Mesh):
+        if joined is not None:
+            mesh = Mesh(mesh.points, joined[mesh.cells], mesh.name)
         every = (mesh.cells, np.arange(len(mesh.cells), dtype=np.int64))
         faces, owners = every if mesh.dimension == 2 else find_boundary_faces(mesh)
         nodes, local = np.unique(faces, return_inverse=True)
         triangles = local.reshape(faces.shape).astype(np.int64, copy=False)
         return Skin(triangles, owners, _list_sides(triangles), nodes)
-    cells, solid = mesh.cell_array, mesh.dimension == 3
-    for divided in (False, True):
-        groups = [group for group in _iterate_groups(cells, finely=not divided) if len(group.owners)]
-        groups = _keep_boundary(groups) if solid else groups
+    cells = mesh.cell_array if joined is None else _renumber_nodes(mesh.cell_array, joined)
+    for finely in (True, False):
+        groups = [group for group in _iterate_groups(cells, finely=finely) if len(group.owners)]
+        groups = _keep_boundary(groups) if mesh.dimension == 3 else groups
         curved = sum(len(group.owners) for group in groups if len(group.triangles) > 8)
         if curved <= _MANY:
             break
     return _join_groups(groups, len(mesh.points))
+
+
+def _renumber_nodes(cells: CellArray, numbers: Ints) -> CellArray:
+    """Return cells of nodes with other numbers (n,)."""
+    faces = cells.faces
+    faces = None if faces is None else faces._replace(connectivity=numbers[faces.connectivity])
+    return cells._replace(connectivity=numbers[cells.connectivity], faces=faces)
 
 
 def _list_sides(triangles: Ints) -> Ints:

@@ -14,11 +14,13 @@ from pipeline.mesh.skin import find_skin
 from pipeline.run.frame import Frame
 from pipeline.run.measures import measure_cells
 from pipeline.series import Series
+from pipeline.series.cell_sides import join_coincident
 from pipeline.system.times import TIME_RTOL
 
 # half-widths of a color range that give readable ticks; with the last, 1, the range begins at V = 0
 RADII = (0.02, 0.04, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
 SAMPLED_CELLS = 2000  # of a frame, for the color range: enough for a quantile of any mesh
+_TOGETHER = 1e-5  # of the body's size: nodes this close are at one place, even in single precision
 EXPLODED = 20.0  # a frame this many rest sizes wide has blown up: fitting it would shrink all others to a dot
 
 
@@ -79,10 +81,26 @@ def find_normal(mesh: BodyMesh) -> Floats | None:
     return None
 
 
-def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda: None) -> Track:
-    """Return the whole motion of a series, each file read once; raises SeriesError if one cannot be read."""
+def join_nodes(series: Series) -> Ints | None:
+    """Return the node that stands for each node (n,) at the same place at rest; None if every place has one node.
+
+    Programs of discontinuous elements give every cell points of its own.
+    """
+    if series.ours:
+        return None
+    joined = join_coincident(series.mesh.points)
+    return None if len(np.unique(joined)) == len(joined) else joined
+
+
+def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda: None, *, joins: bool = True) -> Track:
+    """Return the whole motion of a series, each file read once; raises SeriesError if one cannot be read.
+
+    Nodes at the same place at rest are drawn as one if it `joins` them and they stay together; else files are read
+    once more.
+    """
     mesh = series.mesh
-    skin = find_skin(mesh)
+    joined = join_nodes(series) if joins else None
+    skin = find_skin(mesh, joined)
     count, d, rest_total = len(series), mesh.points.shape[1], mesh.rest_volumes.sum()
     points = np.zeros((count, skin.count, 3), dtype=np.float32)
     face_ratio = np.empty((count, len(skin.triangles)), dtype=np.float32)
@@ -93,6 +111,8 @@ def read_track(series: Series, label: str, on_read: Callable[[], None] = lambda:
     sample = []
     for i in range(count):
         x, whole = _read_instant(series, i)
+        if joined is not None and (np.abs(x - x[joined]) > _TOGETHER * mesh.size).any():
+            return read_track(series, label, joins=False)
         cells = measure_cells(mesh, x)
         ratio = cells.volumes / mesh.rest_volumes
         points[i, :, :d] = skin.place(x)

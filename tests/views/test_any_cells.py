@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from dataclasses import replace
 from html import unescape
 
 import numpy as np
@@ -10,6 +11,9 @@ import xarray
 
 from pipeline.analysis.statistics import write_statistics
 from pipeline.formats.netcdf import read_dataset
+from pipeline.mesh.cell_mesh import CellMesh
+from pipeline.mesh.shapes import box
+from pipeline.mesh.simplex import Mesh
 from pipeline.results.analysis_folder import analyze
 from pipeline.series import read_series
 from pipeline.sinks.vtu import VtuSink
@@ -97,6 +101,38 @@ def test_frames_for_paraview_of_every_kind(tmp_path, monkeypatch, name):
 def test_films_show_every_kind(tmp_path, name):
     _, pixels = film(tmp_path, [make_body(name)], fps=5)
     assert count_colorful(pixels[-1]) > 0.03 * pixels[-1].shape[0] * pixels[-1].shape[1]
+
+
+def make_own_points(name: str) -> CellMesh | Mesh:
+    """The body with points of its own for every cell."""
+    mesh = make_mesh(name)
+    cells = mesh.cell_array
+    numbers = np.arange(len(cells.connectivity))
+    return replace(mesh, points=mesh.points[cells.connectivity], cell_array=cells._replace(connectivity=numbers))
+
+
+@pytest.mark.parametrize("name", ["hexahedra", "curved tetrahedra", "shell", "tetrahedra"])
+def test_cells_with_points_of_their_own_are_drawn_as_one_body(name):
+    if name == "tetrahedra":
+        plain: CellMesh | Mesh = box((1.0, 2.0, 1.0), (2, 4, 2))
+        own: CellMesh | Mesh = Mesh(
+            plain.points[plain.cells].reshape(-1, 3), np.arange(plain.cells.size).reshape(-1, 4)
+        )
+    else:
+        plain, own = make_mesh(name), make_own_points(name)
+    whole, joined = (read_track(MovingBody(mesh, stretch), "") for mesh in (plain, own))
+    assert joined.faces.shape == whole.faces.shape and len(joined.rest) == len(whole.rest)
+    corners = [np.sort(track.points[-1][track.faces].reshape(-1, 9), axis=0) for track in (whole, joined)]
+    assert corners[0] == pytest.approx(corners[1], abs=1e-6)
+
+    def crack(points, t):  # the nodes of cells behind the middle move away
+        x = points.copy()
+        x[len(x) // 2 :, 1] += t
+        return x
+
+    if name != "shell":
+        apart = read_track(MovingBody(own, crack), "")
+        assert len(apart.faces) > len(whole.faces)  # the faces in the crack are drawn
 
 
 def test_planes_are_seen_along_their_normal():

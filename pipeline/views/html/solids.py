@@ -29,6 +29,7 @@ from pipeline.views.track import (
     choose_color_radius,
     find_clipped_ends,
     find_sharp_edges,
+    join_nodes,
     list_drawn_points,
     read_track,
 )
@@ -114,7 +115,7 @@ def _count_affordable_frames(series: Sequence[Series]) -> int:
     """Return the number of frames per series that fit into the page."""
     size = 0
     for recorded in series:
-        skin = find_skin(recorded.mesh)
+        skin = find_skin(recorded.mesh, join_nodes(recorded))
         bodies = 2 if len(skin.triangles) <= MOST_EDGES else 1  # the edges count as another body
         size += 4 * len(skin.triangles) + 12 * bodies * skin.count
     return max(2, min(MOST_FRAMES, MOST_BYTES // size))
