@@ -7,6 +7,7 @@ import pyvista
 
 from pipeline.errors import SeriesError
 from pipeline.mesh.shapes import box
+from pipeline.run.measures import measure
 from pipeline.series import read_series
 from pipeline.series.frame_files import read_grid, read_times
 from tests.formats.solver_files import write_cgns, write_d3plot, write_ensight, write_exodus, write_openfoam
@@ -192,6 +193,16 @@ def test_trees_of_blocks_in_vtkhdf(tmp_path):
     grid = read_grid(tmp_path / "a.vtkhdf")
     assert grid.parts == (8, 8) and grid.part_names == ("left", "right")
     assert np.array_equal(grid.points[grid.connectivity], X[CELLS.ravel()])
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_volume_ratios_are_the_stretches(tmp_path, name):
+    series = read_series(WRITERS[name][0](tmp_path))
+    assert series.times == tuple(TIMES)
+    for frame, s in zip(series, STRETCHES, strict=True):
+        measured = measure(frame)
+        assert measured["volume_ratio"] == pytest.approx(1 + s, rel=2e-6)
+        assert measured["total_volume"] == pytest.approx(2 * (1 + s), rel=2e-6)
 
 
 def test_a_series_of_exodus_is_measured(tmp_path):
