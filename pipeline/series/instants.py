@@ -4,7 +4,7 @@ Attributes, names, numbers and, at last, the cells and places of the bodies in t
 caller is asked. A restart replaces the frames after its begin. Every decision is a note.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from filecmp import cmp as is_same_content
 from itertools import combinations, pairwise
@@ -48,6 +48,7 @@ class Instants(NamedTuple):
 def arrange_instants(entries: Sequence[IndexEntry], where: str) -> Instants:
     """Return the instants of entries; raises SeriesError if the evidence does not decide."""
     times = [entry.time for entry in entries]
+    _check_declared(entries, where)
     if all(a < b for a, b in pairwise(times)):  # the usual case
         return Instants([Member(entry.time, entry.file, entry.step) for entry in entries], [], [])
     parts, notes = _find_parts(entries, where)
@@ -68,6 +69,21 @@ def arrange_instants(entries: Sequence[IndexEntry], where: str) -> Instants:
         for time, own in zip(new_times, in_order, strict=True)
     ]
     return Instants(members, [*notes, *restart_notes, *time_notes], faults)
+
+
+def _check_declared(entries: Sequence[IndexEntry], where: str) -> None:
+    """Raise SeriesError if an index has several parts, each at several times, but never two at one time.
+
+    A part that occurs once is none: some programs count frames there.
+    """
+    counts = Counter(entry.part for entry in entries)
+    if len(counts) < 2 or min(counts.values()) < 2:
+        return
+    if len({entry.time for entry in entries}) == len(entries):
+        raise SeriesError(
+            f"{where}: it lists {len(counts)} parts (group, part), but never two at one time: frames of one body, or "
+            "parts whose times differ by rounding? Give parts equal times, or frames one part"
+        )
 
 
 def _find_parts(entries: Sequence[IndexEntry], where: str) -> tuple[_Parts, list[str]]:
@@ -285,5 +301,5 @@ def _check_parts(entries: Sequence[IndexEntry], parts: _Parts, instants: list[li
                 raise SeriesError(
                     f"{entries[own[0]].file.parent}: {shorten(name)} and {shorten(other)} at t = "
                     f"{entries[own[0]].time:g} s are the same body in almost the same place, not parts of one: name "
-                    "the files of one series by a pattern"
+                    "the files of one series by a pattern, or write true parts as one grid"
                 )

@@ -150,7 +150,7 @@ def _find_missing_times(index: Path, rows: Sequence[IndexEntry]) -> tuple[list[I
         note = f"the index has no time for {len(lacking)} files; those in the files are taken"
     elif len(lacking) == len(rows) and not any(own):
         times = dict.fromkeys(map(id, lacking), 0.0)
-        note = "the index has no times"
+        note = "the index has no times, nor have its files"
     else:
         raise SeriesError(
             f"{index}: it gives no time (timestep) for {shorten(lacking[0].file.name)}, nor is one in the file; add it"

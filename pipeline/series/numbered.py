@@ -72,7 +72,7 @@ def _list_steps(where: Path, files: Sequence[Path], times: Sequence[FileTimes]) 
     if not all(own.values for own in times):
         raise SeriesError(f"{where}: some of its files have several times, others none; give a pattern")
     entries = [IndexEntry(t, f, step) for f, own in zip(files, times, strict=True) for step, t in enumerate(own.values)]
-    return entries, [f"{len(entries)} steps are in {len(files)} files"]
+    return entries, [f"each file holds several steps: {len(entries)} in all"] if len(files) > 1 else []
 
 
 def _name_fields(times: Sequence[FileTimes]) -> list[str]:

@@ -18,7 +18,7 @@ from pipeline.series import read_series
 from pipeline.series.frame_files import find_fault, read_grid, read_times
 from tests.foreign.displacements import CELLS, LONG_CELLS, LONG_POINTS, POINTS
 from tests.foreign.partitions import write_pvtu
-from tests.foreign.writers import split, stretch, write_vtu
+from tests.foreign.writers import split, stretch, write_pvd, write_vtu
 
 A_TIME = '<DataArray type="Float64" Name="TimeValue"'
 RIGHT = np.array([5.0, 0.0, 0.0])
@@ -365,3 +365,39 @@ def test_steps_that_cannot_be_told_apart_are_refused(tmp_path):
     (tmp_path / "all.vtu").write_text(text)
     with pytest.raises(SeriesError, match="there is no step 3; it has 3"):
         cut_out_step(tmp_path / "all.vtu", 3)
+
+
+@pytest.mark.parametrize("kind", ["pvd", "vtm", "pvtu", "series", "steps"])
+def test_damaged_files_that_name_others_are_one_line(tmp_path, kind):
+    """Bytes of the file are changed, cut out or doubled: it is read, or refused in one line."""
+    rng = np.random.default_rng(16)
+    for r, cells in enumerate((CELLS[:6], CELLS[6:])):
+        used, local = split(cells)
+        write_vtu(tmp_path / f"p{r}.vtu", POINTS[used], [(10, local)])
+    path = (
+        tmp_path / {"pvd": "s.pvd", "vtm": "s.vtm", "pvtu": "s.pvtu", "series": "s.vtu.series", "steps": "s.vtu"}[kind]
+    )
+    if kind == "pvd":
+        write_pvd(path, [{"timestep": 0.5, "group": "", "part": r, "file": f"p{r}.vtu"} for r in range(2)])
+    elif kind == "vtm":
+        path.write_text(wrap('<Block name="a"><DataSet index="0" file="p0.vtu"/></Block><DataSet file="p1.vtu"/>'))
+    elif kind == "pvtu":
+        write_pvtu(path, ["p0.vtu", "p1.vtu"])
+    elif kind == "series":
+        path.write_text('{"files": [{"name": "p0.vtu", "time": 0.5}, {"name": "p1.vtu", "time": 0.75}]}')
+    else:
+        write_steps(path, "Ascii", moves=True)
+    content = path.read_bytes()
+    outcomes = set[str]()
+    for _ in range(12 if kind == "steps" else 150):
+        at, length = int(rng.integers(len(content))), int(rng.integers(1, 12))
+        middle = [rng.bytes(length), b"", content[at : at + length] * 2][int(rng.integers(3))]
+        path.write_bytes(content[:at] + middle + content[at + length :])
+        try:
+            series = read_series(path)
+            outcomes.add("read")
+            assert len(series) >= 1
+        except SeriesError as error:
+            outcomes.add("refused")
+            assert "\n" not in str(error) and len(str(error)) < 1500
+    assert outcomes == {"read", "refused"} or kind == "steps"

@@ -514,6 +514,16 @@ def test_parts_in_an_index(tmp_path, attributes, pattern, outer):
     assert any("2 parts of the body" in note for note in series.notes)
 
 
+def test_parts_that_never_share_a_time_are_asked_about(tmp_path):
+    """Times of the ranks that differ by rounding; a part that counts the frames is none."""
+    write_halves(tmp_path, "f_{t}_{r}.vtu", (1.0, 1.2, 1.5))
+    rows = [{"timestep": k + 1e-7 * r, "part": r, "file": f"f_{k}_{r}.vtu"} for k in range(3) for r in range(2)]
+    write_pvd(tmp_path / "s.pvd", rows)
+    assert_asked(tmp_path / "s.pvd", "2 parts", "never two at one time")
+    write_pvd(tmp_path / "s.pvd", [{"timestep": k, "part": k, "file": f"f_{k}_0.vtu"} for k in range(3)])
+    assert list_ratios(tmp_path / "s.pvd") == pytest.approx([1.0, 1.2, 1.5])
+
+
 def test_parts_with_counting_names(tmp_path):
     """Files 0 to 5 in order, two a time: their cells recur, so they are parts."""
     for cells in ((CELLS[:6], CELLS[6:]), UNEQUAL):
