@@ -10,34 +10,21 @@ and X the rest state,
 A name decides only if the numbers allow it. If more than one reading is left, SeriesError asks for one.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.grid import Grid
-from pipeline.series.vector_fields import (
-    VectorField,
-    find_cell_displacements,
-    find_flow_fields,
-    find_vector_fields,
-    select_named_field,
-)
+from pipeline.series.motion_evidence import MATCH, Evidence, FieldMotion, find_largest
+from pipeline.series.vector_fields import VectorField, select_named_field
 
-_LOOKED_AT = 1_000_000  # points of all frames that are looked at when a series is opened
-_FEWEST, _MOST = 3, 24  # frames
-_ROUNDING = 64 * np.finfo(np.float64).eps  # of the coordinates: x computed as (X + u) - u
-_ROUNDING_SINGLE = 8 * float(np.finfo(np.float32).eps)
 _NOISE = 1e-6  # of the size: text of six digits; no larger motion is taken for noise
-_MATCH = 1e-2  # of the largest displacement: points that contain u up to this part of it
 _ABSURD = 100.0  # sizes of the body
 _INVERTED = 0.5  # of the cells: methods that fail invert some, a velocity most
 # formats whose points are those of the mesh, whatever the displacement
 _MESH_FORMATS = {".e", ".ex2", ".exo", ".g", ".frd", ".med", ".rmed", ".mmed"}
-
-Sample = Sequence[tuple[int, Grid]]  # frames that have the mesh of the first, by their index; the first one first
 
 
 @dataclass(frozen=True)
@@ -50,112 +37,7 @@ class DisplacementChoice:
     late: bool = False  # the first frame does not have it: it is zero there
     guessed: bool = False  # frames that were not looked at are checked when they are read
     text: str = ""  # for the two lines of an answer
-
-
-@dataclass(eq=False)
-class FieldMotion:
-    """The numbers of one field over the sample: largest values, and how they compare with the motion of the points."""
-
-    vector: VectorField
-    first: Floats | None  # values in the first frame, None if it has none
-    frames: int = 0  # that have it
-    largest: float = 0.0
-    varies: float = 0.0  # largest |u_k - u_0|
-    differs: float = 0.0  # largest |(x_k - x_0) - (u_k - u_0)|
-    differs_from_steps: float = 0.0  # largest |(x_k - x_k-1) - u_k|, of consecutive frames
-    scales: list[float] = field(default_factory=list)  # of u_k - u_0 that fit x_k - x_0 best, where they fit
-
-    @property
-    def at_start(self) -> float:
-        """The largest value in the first frame; 0 if it has none."""
-        return 0.0 if self.first is None else float(np.abs(self.first).max(initial=0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """The motion of the points and of every vector field over the sample of frames."""
-
-    motions: dict[str, FieldMotion]
-    moves: float  # largest |x_k - x_0|
-    rounding: float  # [m]: smaller motions may be the rounding of coordinates
-    size: float  # [m]
-    frames: int
-    total: int
-    flow: tuple[str, ...]  # fields of a flow
-    on_cells: tuple[str, ...] = ()  # vectors of cells that may be a displacement
-
-    @property
-    def points_rest(self) -> bool:
-        """Return whether the points move by less than their rounding."""
-        return self.moves <= self.rounding
-
-
-def choose_sample(count: int, points: int) -> list[int]:
-    """Return the indices of the frames to look at: all of a short series, else the first ones and some of the rest."""
-    most = int(np.clip(_LOOKED_AT // max(points, 1), _FEWEST, _MOST))
-    if count <= most:
-        return list(range(count))
-    early = 3 if most > 6 else 1
-    spread = np.linspace(early - 1, count - 1, most - early + 1).round().astype(int)
-    return sorted({*range(early), *spread.tolist()})
-
-
-def weigh_evidence(sample: Sample, reference: Floats | None, total: int) -> Evidence:
-    """Return the evidence of the frames; `reference` is a known rest state of the first frame's points.
-
-    With a reference, the fields are compared as displacements from it.
-    """
-    first = sample[0][1]
-    x0 = first.points if reference is None else reference
-    motions = dict[str, FieldMotion]()
-    moves, last, names = 0.0, (-2, x0), set[str]()
-    single = all(is_single(grid) for _, grid in sample)
-    largest = max(_find_largest(grid.points) for _, grid in sample)
-    rounding = (_ROUNDING_SINGLE if single else _ROUNDING) * largest
-    for index, grid in sample:
-        names |= set(grid.point_data)
-        x = grid.points
-        moves = max(moves, _find_largest(x - x0))
-        for name, vector in find_vector_fields(grid).items():
-            if vector.role == "other" or (u := vector.read(grid)) is None:
-                continue
-            motion = motions.setdefault(name, FieldMotion(vector, vector.read(first)))
-            start = 0.0 if reference is not None or motion.first is None else motion.first
-            _compare(motion, x - x0, u, u - start, x - last[1] if index == last[0] + 1 else None)
-        last = index, x
-    size = float(np.linalg.norm(np.ptp(x0[np.isfinite(x0).all(axis=1)], axis=0))) if np.isfinite(x0).any() else 0.0
-    on_cells = tuple(find_cell_displacements(sample[-1][1]))
-    flow = tuple(sorted(find_flow_fields(names)))
-    return Evidence(motions, moves, rounding, size, len(sample), total, flow, on_cells)
-
-
-def _compare(motion: FieldMotion, moved: Floats, u: Floats, du: Floats, step: Floats | None) -> None:
-    """Add a frame, in which the points have moved and the field u has changed by du, to a field's numbers."""
-    motion.frames += 1
-    motion.largest = max(motion.largest, _find_largest(u))
-    motion.varies = max(motion.varies, _find_largest(du))
-    motion.differs = max(motion.differs, _find_largest(moved - du))
-    if step is not None:
-        motion.differs_from_steps = max(motion.differs_from_steps, _find_largest(step - u))
-    finite = np.isfinite(moved).all(axis=1) & np.isfinite(du).all(axis=1)
-    a, b = moved[finite], du[finite]
-    if (length := float((b * b).sum())) > 0:
-        scale = float((a * b).sum()) / length
-        if _find_largest(a - scale * b) <= _MATCH * _find_largest(a):
-            motion.scales.append(scale)
-
-
-def _find_largest(values: Floats) -> float:
-    """Return the largest absolute value, without those that are not finite."""
-    finite = np.where(np.isfinite(values), np.abs(values), 0.0)
-    return float(finite.max(initial=0.0))
-
-
-def is_single(grid: Grid) -> bool:
-    """Return whether all coordinates are numbers of single precision, however they are stored."""
-    points = grid.points
-    with np.errstate(over="ignore"):
-        return np.array_equal(points.astype(np.float32), points, equal_nan=True)
+    still: tuple[tuple[VectorField, Floats | None], ...] = ()  # fields that do not change, and their first values
 
 
 def choose_displacement(
@@ -170,13 +52,12 @@ def choose_displacement(
         return DisplacementChoice(None, added=False, text="the points of the files, as displacement = none says")
     if name is not None:
         return _use_named(evidence, name, first, where)
-    motions = {key: m for key, m in evidence.motions.items() if m.largest > 0 or m.vector.role == "clear"}
+    motions = evidence.motions
     if evidence.frames == 1 and not known_rest:
         return _judge_single_frame(evidence, motions, where)
     if known_rest and "rest_position" in first.point_data and not evidence.points_rest:
         return DisplacementChoice(None, added=False, text="deformed points")
-    contained = [m for m in motions.values() if _is_contained(evidence, m)]
-    if contained:
+    if contained := [m for m in motions.values() if _is_contained(evidence, m)]:
         return _note_contained(evidence, contained, where)
     if _do_points_rest(evidence, motions):
         return _choose_at_rest(evidence, motions, where)
@@ -211,13 +92,24 @@ def _explain_missing(first: Grid, name: str, where: str) -> str:
 
 def _is_contained(evidence: Evidence, motion: FieldMotion) -> bool:
     """Return whether the points move as the field says."""
-    if motion.varies <= evidence.rounding or evidence.moves <= evidence.rounding:
+    if motion.is_position or motion.varies <= evidence.rounding or evidence.moves <= evidence.rounding:
         return False
-    return motion.differs <= max(2 * evidence.rounding, _MATCH * motion.varies) and evidence.moves >= motion.varies / 2
+    return motion.differs <= max(2 * evidence.rounding, MATCH * motion.varies) and evidence.moves >= motion.varies / 2
 
 
 def _note_contained(evidence: Evidence, contained: list[FieldMotion], where: str) -> DisplacementChoice:
     best = min(contained, key=lambda m: (m.vector.role != "clear", m.differs))
+    start = np.zeros(1) if best.first is None else best.first
+    differ = [
+        m.vector.name for m in contained
+        if m.first is not None and m.vector.role == best.vector.role
+        and find_largest(m.first - start) > max(2 * evidence.rounding, MATCH * m.varies)
+    ]  # fmt: skip
+    if differ:
+        raise SeriesError(
+            f"{where}: the points move as {join_names([best.vector.name, *differ])} do, which differ in the first "
+            'frame, and so do the rest states: name the displacement (displacement = NAME), or say rest = "first"'
+        )
     name, late = best.vector.name, best.first is None
     rest = "" if best.at_start <= evidence.rounding else "; the first frame is deformed already"
     note = (
@@ -238,6 +130,7 @@ def _do_points_rest(evidence: Evidence, motions: dict[str, FieldMotion]) -> bool
 
 def _choose_at_rest(evidence: Evidence, motions: dict[str, FieldMotion], where: str) -> DisplacementChoice:
     """Return the one field that can be the displacement of points at rest; raises SeriesError if there are several."""
+    motions = {key: m for key, m in motions.items() if not m.is_position or m.vector.role == "clear"}
     clear = _drop_copies([m for m in motions.values() if m.vector.role == "clear"])
     short = _drop_copies(
         [m for m in motions.values() if m.vector.role == "short" and m.largest > 0 and _varies(evidence, m)]
@@ -252,7 +145,7 @@ def _choose_at_rest(evidence: Evidence, motions: dict[str, FieldMotion], where: 
         single is not None
         and not evidence.flow
         and single.first is not None
-        and single.at_start <= _MATCH * single.varies
+        and single.at_start <= MATCH * single.varies
     ):
         return _take(evidence, single)
     if candidates := [*clear, *short, *vague]:
@@ -262,7 +155,10 @@ def _choose_at_rest(evidence: Evidence, motions: dict[str, FieldMotion], where: 
     note = "the points do not move and there is no displacement field: the body is measured as at rest"
     if evidence.on_cells:
         note += f"; the cell field {shorten(evidence.on_cells[0])} does not say where its points are: write it at them"
-    return DisplacementChoice(None, added=False, notes=(note,), guessed=True, text="points at rest, no displacement")
+    return DisplacementChoice(
+        None, added=False, notes=(note,), guessed=evidence.frames < evidence.total,
+        text="points at rest, no displacement", still=tuple((m.vector, m.first) for m in motions.values()),
+    )  # fmt: skip
 
 
 def _varies(evidence: Evidence, motion: FieldMotion) -> bool:
@@ -284,7 +180,12 @@ def _take(evidence: Evidence, motion: FieldMotion) -> DisplacementChoice:
             f"this was decided from {evidence.frames} of {evidence.total} frames; the others are checked when read"
         )
     return DisplacementChoice(
-        vector, added=True, notes=tuple(notes), late=late, guessed=True, text=f"rest points + {name}"
+        vector,
+        added=True,
+        notes=tuple(notes),
+        late=late,
+        guessed=evidence.frames < evidence.total,
+        text=f"rest points + {name}",
     )
 
 
@@ -361,13 +262,13 @@ def _judge_moving_points(evidence: Evidence, motions: dict[str, FieldMotion], wh
 def _check_clear_field(evidence: Evidence, motion: FieldMotion, where: str) -> None:
     """Raise SeriesError if a displacement is not the motion of the points, nor its increment since the last frame."""
     name = shorten(motion.vector.name)
-    if motion.differs_from_steps <= max(2 * evidence.rounding, _MATCH * evidence.moves):
+    if motion.differs_from_steps <= max(2 * evidence.rounding, MATCH * evidence.moves):
         return  # the increment of each step
     choices = (
         f'displacement = "none" if the points are deformed, or displacement = "{name}" if it must be added to them'
     )
     scales = motion.scales
-    if len(scales) == motion.frames - 1 and scales and np.ptp(scales) <= _MATCH * abs(np.mean(scales)):
+    if len(scales) == motion.frames - 1 and scales and np.ptp(scales) <= MATCH * abs(np.mean(scales)):
         raise SeriesError(
             f"{where}: the points move by {np.mean(scales):.4g} times the field {name}: they are warped for a picture, "
             f"and their cells are not those of the body; {choices}"
@@ -377,16 +278,9 @@ def _check_clear_field(evidence: Evidence, motion: FieldMotion, where: str) -> N
     )
 
 
-def check_sanity(size: float, moved: Floats, inverted: float, vector: VectorField, where: str) -> None:
-    """Raise SeriesError if adding a guessed displacement gives an absurd body: huge, or mostly inverted."""
-    finite = moved[np.isfinite(moved).all(axis=1)]
-    spread, name = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0, shorten(vector.name)
-    if spread > _ABSURD * size or inverted > _INVERTED:
-        fault = (
-            f"stretches the body to {spread / size:.3g} times its size" if spread > _ABSURD * size
-            else f"inverts {100 * inverted:.0f} % of the cells"
-        )  # fmt: skip
-        raise SeriesError(
-            f"{where}: adding the field {name} to the points {fault}, so that it may not be the displacement, or "
-            f'not in the unit of the points: say displacement = "{name}" if it is right, or "none"'
-        )
+def find_absurdity(size: float, u: Floats, inverted: float) -> str:
+    """Return the fault of a displaced body that is huge or mostly inverted; empty if it is neither."""
+    spread = float(np.ptp(u, axis=0).max(initial=0.0))
+    if spread > _ABSURD * size:
+        return f"stretches the body to {spread / size:.3g} times its size"
+    return f"inverts {100 * inverted:.0f} % of the cells" if inverted > _INVERTED else ""

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from pipeline.arrays import Floats
+from pipeline.errors import SeriesError, shorten
 from pipeline.formats.grid import Grid
 from pipeline.mesh.cell_mesh import measure_volumes
 from pipeline.mesh.cell_text import describe_cells
@@ -22,17 +23,9 @@ from pipeline.series.arrangement import (
 )
 from pipeline.series.cell_selection import choose_cells
 from pipeline.series.decisions import Decisions
-from pipeline.series.displacement import (
-    DisplacementChoice,
-    Evidence,
-    Sample,
-    check_sanity,
-    choose_displacement,
-    choose_sample,
-    is_single,
-    weigh_evidence,
-)
+from pipeline.series.displacement import DisplacementChoice, choose_displacement, find_absurdity
 from pipeline.series.layout import Options, SeriesLayout
+from pipeline.series.motion_evidence import Evidence, Sample, choose_sample, is_single, weigh_evidence
 from pipeline.series.rest_mesh import RestMesh, build_rest_mesh, find_normal
 from pipeline.series.rest_state import RestPositions, find_rest_state, read_reference
 
@@ -64,7 +57,7 @@ def infer_layout(
         first, rest.points, cells, evidence.rounding, where, bends=bends, trusted=own, motion=motion
     )
     layout = _join(first, choice, rest, built, evidence, ours=own)
-    if choice.guessed and choice.vector is not None:
+    if choice.added and options.displacement is None:
         _check_guess_by_cells(layout, sample, where)
     return layout
 
@@ -168,14 +161,25 @@ def _note_precision(first: Grid, built: RestMesh, evidence: Evidence) -> list[st
 
 
 def _check_guess_by_cells(layout: SeriesLayout, sample: Sample, where: str) -> None:
-    """Raise SeriesError if the guessed displacement makes an absurd body of the last frame that was looked at."""
+    """Raise SeriesError if the guessed displacement makes an absurd body of most frames that were looked at.
+
+    A solution that diverges in the end is absurd only there.
+    """
     vector, mesh = layout.choice.vector, layout.mesh
-    u = vector.read(sample[-1][1]) if vector is not None else None
-    if vector is None or u is None:
-        return
-    points = layout.arrangement.select_nodes(layout.grid.points + u)
-    if not np.isfinite(points).all():
-        return
-    local = np.ascontiguousarray(points[:, : mesh.points.shape[1]])
-    volumes = measure_volumes(local, mesh.cell_array, mesh.dimension, layout.plane)
-    check_sanity(mesh.size, layout.arrangement.select_nodes(u), float((volumes < 0).mean()), vector, where)
+    faults = list[str]()
+    moved = 0
+    for _, grid in sample:
+        u = vector.read(grid) if vector is not None else None
+        if vector is None or u is None or not np.isfinite(u).all() or not u.any():
+            continue
+        moved += 1
+        local = layout.arrangement.select_nodes(layout.grid.points + u)[:, : mesh.points.shape[1]]
+        volumes = measure_volumes(np.ascontiguousarray(local), mesh.cell_array, mesh.dimension, layout.plane)
+        inverted = float((volumes < 0).mean())
+        if fault := find_absurdity(mesh.size, layout.arrangement.select_nodes(u), inverted):
+            faults.append(fault)
+    if vector is not None and len(faults) > moved / 2:
+        raise SeriesError(
+            f"{where}: adding the field {shorten(vector.name)} to the points {faults[-1]}, so that it may not be the "
+            f'displacement, or not in the unit of the points: say displacement = "{vector.name}" if it is, or "none"'
+        )

@@ -23,14 +23,18 @@ from pipeline.series.arrangement import (
     match_by_ids,
     match_by_positions,
 )
+from pipeline.series.cell_arrays import select_array
+from pipeline.series.cell_selection import find_ghosts
+from pipeline.series.cell_sides import join_coincident
 from pipeline.series.decisions import Decisions
 from pipeline.series.displacement import DisplacementChoice
 from pipeline.series.rest_mesh import PLANAR, allow_gap
-from pipeline.series.vector_fields import find_vector_fields
+from pipeline.series.vector_fields import VectorField, find_vector_fields
 from pipeline.series.whole_body import measure_whole_body
 
 __all__ = ["Arrangement", "Options", "SeriesLayout", "have_same_cells"]
 
+_PARTED = 0.5  # of the points that coincide at rest
 _LARGEST = 1e75  # [m]: volumes of larger bodies would overflow; larger coordinates count as not finite
 
 
@@ -103,7 +107,7 @@ class SeriesLayout:
             return self.arrangement
         in_place = same and self.ids.are_in_place(grid)
         if in_place and not (self.own_points and self._is_moved(grid)):
-            return self.arrangement
+            return self._check_coincident(grid) if self.own_points and not self.ids.names else self.arrangement
         if not in_place and (matched := match_by_ids(grid, self.ids)) is not None:
             return matched
         if (matched := self._match_at_rest(grid)) is not None:
@@ -126,7 +130,27 @@ class SeriesLayout:
             return None
         rest, mesh = rest[:, : self.mesh.points.shape[1]], self.mesh
         tolerance = max(1e-7 * mesh.size, 4 * self.rounding)
-        return match_by_positions(mesh.points, mesh.cell_array, rest, grid.cells, tolerance)
+        own = np.flatnonzero(~find_ghosts(grid))  # copies may hold old values
+        found = match_by_positions(mesh.points, mesh.cell_array, rest, select_array(grid.cells, own), tolerance)
+        return None if found is None or found.cells is None else found._replace(cells=own[found.cells])
+
+    def _check_coincident(self, grid: Grid) -> Arrangement:
+        """Return the arrangement of cells with points of their own, with a fault if they come in another order.
+
+        Points that coincide at rest stay together in a body. If most of them part, although as many points coincide
+        as before, the cells have changed places.
+        """
+        nodes = self.arrangement.select_nodes(grid.points)
+        if not np.isfinite(nodes).all():
+            return self.arrangement
+        before, now = join_coincident(self.mesh.points), join_coincident(nodes)
+        shared = np.flatnonzero(before != np.arange(len(before)))
+        parted = float(np.mean(now[shared] != now[before[shared]])) if len(shared) else 0.0
+        counts = len(np.unique(before)), len(np.unique(now))
+        if parted > _PARTED and counts[1] < (counts[0] + len(before)) / 2:
+            text = "its cells come in another order than those of the first frame, and it has no ids that tell which"
+            return make_missing(len(before), len(self.mesh.cell_array.types), text)
+        return self.arrangement
 
     def _find_rest_points(self, grid: Grid) -> Floats | None:
         """Return the rest positions (n, 3) that a frame itself tells, or None."""
@@ -197,6 +221,8 @@ class SeriesLayout:
         if not choice.guessed:
             return
         if choice.vector is None:
+            for vector, first in choice.still:
+                _check_still(vector, first, grid, where)
             new = [
                 n
                 for n, v in find_vector_fields(grid).items()
@@ -250,3 +276,15 @@ class SeriesLayout:
         """Return the number that a node of the mesh has in the files."""
         nodes = self.arrangement.nodes
         return int(node if nodes is None else nodes[node])
+
+
+def _check_still(vector: VectorField, first: Floats | None, grid: Grid, where: str) -> None:
+    """Raise SeriesError if a field changes that was constant in the frames looked at."""
+    u = vector.read(grid)
+    if u is None or first is None or len(u) != len(first) or np.allclose(u, first, rtol=1e-9, atol=0, equal_nan=True):
+        return
+    name = shorten(vector.name)
+    raise SeriesError(
+        f"{where}: the field {name} changes, unlike in the frames looked at: say whether displacement = "
+        f'"{name}" must be added to the points, or "none"'
+    )

@@ -18,7 +18,7 @@ Role = Literal["clear", "short", "vague", "other"]
 
 _WIDTHS = (2, 3, 4, 6)  # plane, space, homogeneous, and shells: three translations, then three rotations
 _CLEAR = ("displ", "depla", "depl", "deform", "verschieb", "desplaz", "deslocament", "spostament", "verplaats")
-_SHORT = re.compile(r"(u|d)(|h|_h|n|_n|_new|vec|_vec|sol|_sol|_?\d+)|uvw|u_?h?_?(vector|solid)|f_?\d*|w|x_disp")
+_SHORT = re.compile(r"(u|d)(|h|_h|n|_n|_new|vec|_vec|sol|_sol|_?\d+)|uvw|u_?h?_?(vector|solid)")
 # numbers derived from a displacement, or of another one than the body's
 _DERIVED = (
     "rate", "incr", "delta", "magn", "grad", "error", "resid", "prescr", "impos", "target", "test", "veloc", "accel",
@@ -33,7 +33,7 @@ _OTHERS = (
 )  # fmt: skip
 _OTHER_SHORT = {"v", "a", "f_ext", "fext", "fint", "rf", "n", "nu", "t", "p", "vel", "acc", "du", "vx", "q", "b", "e"}
 _FLOW = re.compile(
-    r"p|p_rgh|pressure|pressione|druck|nut|nutilda|k|omega|epsilon|rho|phi|alpha\..*|wallshearstress|mach"
+    r"p|p_?h|p_rgh|pressure.*|pression|druck|nut|nutilda|wallshearstress|mach|alpha\..*|y_?plus|vorticity|q_?criterion"
 )
 _AXES = (("x", "y", "z"), ("0", "1", "2"), ("1", "2", "3"))
 

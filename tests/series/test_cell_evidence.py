@@ -390,6 +390,39 @@ def test_ids_that_are_only_counted_do_not_mislead(tmp_path):
         np.testing.assert_allclose(measure(a)["volume_ratio"], b, rtol=1e-9)
 
 
+def test_moving_cells_with_points_of_their_own_in_another_order_have_no_numbers(tmp_path):
+    """Neither ids nor a displacement tell the order, but cells that were neighbors have parted."""
+    frames, torn = [], []
+    for k in range(3):
+        order = np.roll(np.arange(len(TETRAHEDRA.cells)), 7 if k == 1 else 0)
+        x = bend(TETRAHEDRA.points, k)[TETRAHEDRA.cells[order]].reshape(-1, 3)
+        frames.append(draw({10: np.arange(len(x)).reshape(-1, 4)}, x))
+        own = TETRAHEDRA.points[TETRAHEDRA.cells] + 0.1 * k * TETRAHEDRA.centers[:, None]
+        torn.append(draw({10: np.arange(len(x)).reshape(-1, 4)}, own.reshape(-1, 3)))
+    series = read_series(write(tmp_path / "moved", frames))
+    assert np.isnan(measure(series.read_frame(1))["volume_ratio"]).all()
+    assert "another order" in series.read_frame(1).fault and not series.read_frame(2).fault
+    assert np.isfinite(measure(series.read_frame(1))["total_volume"])
+    for ratio in ratios(write(tmp_path / "torn", torn)):  # a body that really comes apart
+        assert ratio == pytest.approx(1)
+
+
+def test_copies_of_cells_do_not_stand_for_them(tmp_path):
+    """A ghost copy holds an old displacement; frames come in other orders."""
+    X, cells = TETRAHEDRA.points[TETRAHEDRA.cells].reshape(-1, 3), np.arange(TETRAHEDRA.cells.size).reshape(-1, 4)
+    frames = []
+    for k, s in enumerate(STRETCHES):
+        order = np.roll(np.arange(len(cells)), 5 * k)
+        x = np.vstack([X[cells[:4]].reshape(-1, 3), X[cells[order]].reshape(-1, 3)])
+        u = stretch(x, s) - x
+        u[:16] = 0
+        grid = draw({10: np.arange(len(x)).reshape(-1, 4)}, x)
+        grid.point_data["displacement"] = u
+        grid.cell_data["vtkGhostType"] = (np.arange(len(x) // 4) < 4).astype(np.uint8)
+        frames.append(grid)
+    assert_stretched(write(tmp_path, frames))
+
+
 def test_some_points_that_are_not_finite_end_only_their_cells(tmp_path):
     frames = [make(TETRAHEDRA.cells, TETRAHEDRA.points, s=s) for s in STRETCHES]
     frames[2].point_data["displacement"][4] = np.inf

@@ -184,6 +184,8 @@ def make_questions():
     yield "one frame", [(X, {"displacement": u[2]})], ("displacement", "one frame")
     yield "one frame with u", [(X, {"u": u[2]})], ("u", "one frame")
     yield "warped", [(X + 10 * a, {"displacement": a}) for a in u], ("10 times",)
+    yield "a force from zero", [(X, {"f": a}) for a in u], ("f",)
+    yield "two that the points contain", [(X + a, {"disp_a": a, "disp_b": a - u[1]}) for a in u[1:]], ("disp_b",)
     yield "half of it", [(X + 0.5 * a, {"displacement": a}) for a in u], ("0.5 times",)
     yield "another motion", [(X + a[:, [1, 0, 2]], {"displacement": a}) for a in u], ("not as the field",)
     yield "absurd unit", [(X, {"displacement": 1000 * a}) for a in u], ("times its size",)
@@ -267,7 +269,33 @@ def test_rest_position_and_displacement(tmp_path):
     assert_stretched(write(tmp_path / "b", still))
 
 
+@pytest.mark.parametrize("name", ["x", "place", "points", "current_position", "r"])
+@pytest.mark.parametrize("shift", [0.0, 5.0])
+def test_a_field_of_positions_is_no_displacement(tmp_path, name, shift):
+    frames = [(stretch(X, s), {name: stretch(X, s) - shift}) for s in STRETCHES]
+    assert_stretched(write(tmp_path, frames))
+
+
+def test_forces_by_component_are_no_displacement(tmp_path):
+    frames = [(X, {f"f{axis}": k * X[:, i] for i, axis in enumerate("xyz")}) for k in range(3)]
+    assert_stretched(write(tmp_path, frames), [1.0] * 3)
+
+
+def test_a_solution_that_diverges_in_the_end_is_measured(tmp_path):
+    frames = [(X, {"displacement": s * X * [1, 0, 0]}) for s in (0, 0.1, 0.2, 0.3, 0.4, 1e3, -1e5)]
+    assert_stretched(write(tmp_path, frames), [1, 1.1, 1.2, 1.3, 1.4, 1001, 1 - 1e5])
+
+
 # Long series
+
+
+@pytest.mark.parametrize("name", ["u", "strange"])
+def test_a_field_that_changes_only_in_frames_not_looked_at_is_asked_about(tmp_path, name):
+    path = write(tmp_path, [(X, {name: X * (k == 42)}) for k in range(100)])
+    series = read_series(path)
+    with pytest.raises(SeriesError, match=f"the field {name} changes, unlike in the frames looked at"):
+        list(series)
+    assert_stretched(path, [1.0] * 100, displacement="none")
 
 
 def test_a_long_series_is_opened_by_some_of_its_frames(tmp_path, monkeypatch):
