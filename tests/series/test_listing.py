@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pipeline.series.bodies import are_apart
 
 from pipeline.cli import main
 from pipeline.errors import SeriesError
