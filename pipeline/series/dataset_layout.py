@@ -2,9 +2,12 @@
 
 from typing import Any
 
+import numpy as np
+
+from pipeline.formats.grid import Grid
 from pipeline.run.measures import STEPS, VARIABLES, make_attributes
 
-ATTRIBUTES = "dataset_attributes"  # field data of the first frame: the dataset's and its variables' attributes as JSON
+ATTRIBUTES = "dataset_attributes"  # field data of exported frames: the attributes as JSON in the first
 LOCATIONS = {2: "face", 3: "volume"}  # UGRID's word for the cells of each dimension
 # dimension, unit and long_name of fields that are not in VARIABLES
 _FIELDS = {
@@ -13,6 +16,15 @@ _FIELDS = {
     "volume": ("cell", "m3", "signed volume"),
     "inverted": ("cell", "1", "det F is zero or less somewhere in the cell"),
 }
+
+
+def is_exported(grid: Grid) -> bool:
+    """Return whether a frame is as write_pvd_series wrote it, and no other program has moved its points since."""
+    fields = grid.point_data
+    if ATTRIBUTES not in grid.field_data or not {"rest_position", "displacement"}.issubset(fields):
+        return False
+    rest, displacement = fields["rest_position"], fields["displacement"]
+    return rest.shape == displacement.shape and np.array_equal(grid.points, rest + displacement, equal_nan=True)
 
 
 def describe_field(name: str, dims: tuple[str, ...], dimension: int) -> dict[str, Any]:

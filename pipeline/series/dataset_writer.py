@@ -44,9 +44,10 @@ def write_pvd_series(dataset: "xarray.Dataset", path: str | os.PathLike[str]) ->
     names = [name for name in dataset.variables if name != "cell_type"]  # its attributes are arrays, and made anew
     attributes = {str(name): dataset[name].attrs for name in names} | {"": dataset.attrs}
     first = {ATTRIBUTES: np.array([json.dumps(attributes, default=_to_json).encode()])}
+    others = {ATTRIBUTES: np.array([b"in the first frame"])}
     for index, (time, fields) in enumerate(_iterate_frames(moving, rest)):
         name = f"{path.stem}/frame_{index:06d}.vtu"
-        numbers = first | dict(fields.numbers) if index == 0 else fields.numbers
+        numbers = (others if index else first) | dict(fields.numbers)
         content = encode_vtu(fields.points, fields.nodal, fields.cellular, numbers, static)
         write_whole(path.parent / name, content, synced=False)
         entries.append((time, name))

@@ -29,7 +29,7 @@ def list_columns(
     Frames of our own all have the same fields: the first and the last are looked at.
     """
     series, first = store.series, store.read_grid(0)
-    own = series.ours or ATTRIBUTES in first.field_data
+    own = series.ours or series.layout.trusted
     count = len(series)
     sample = [0, count - 1] if own else choose_frames(count, first, store.capacity)
     chosen = list(range(count)) if scan_all else sorted(set(sample))

@@ -14,6 +14,7 @@ from pipeline.formats.grid import Grid
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.run.frame import Frame
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
+from pipeline.series.dataset_layout import is_exported
 from pipeline.series.decisions import Decisions
 from pipeline.series.frame_files import read_grid
 from pipeline.series.inference import infer_layout
@@ -160,7 +161,8 @@ def make_series(listing: FrameListing, options: Options = Options()) -> tuple[Se
     def read(index: int) -> Grid:
         return _read_member(members[index], ours=ours)
 
-    layout = infer_layout(first, read, len(members), options, str(members[0].file), ours=ours)
+    trusted = ours or (is_exported(first) and is_exported(read(len(members) - 1)))
+    layout = infer_layout(first, read, len(members), options, str(members[0].file), ours=trusted)
     return Series(listing.name, listing.folder, members, layout, (*listing.notes, *first.notes), ours), first
 
 

@@ -9,6 +9,7 @@ import cf_xarray.units
 import numpy as np
 import pint_xarray  # noqa: F401  (registers ds.pint)
 import pytest
+import pyvista
 import xarray
 
 from pipeline.errors import SeriesError
@@ -315,6 +316,23 @@ def test_units_that_differ_are_an_error(tmp_path):
     assert quantities.pint.dequantify("cf").deformation.worst() == dataset.deformation.worst()
 
 
+def test_exported_frames_are_not_guessed_about_unless_another_program_changed_them(tmp_path):
+    """A file's own displacement stays one; points that were warped once more are believed, not the old displacement."""
+    fields = [({"displacement": np.ones((N, 2))},)] * 2
+    dataset = open_lazily(write(tmp_path, *fields, points=[POINTS] * 2), displacement="none")
+    again = open_lazily(dataset.deformation.to_pvd(tmp_path / "a.pvd"))
+    xarray.testing.assert_identical(again.load(), dataset.load())
+    moving = moved(tmp_path).deformation.to_pvd(tmp_path / "b.pvd")
+    for k in range(3):
+        grid = pyvista.read(tmp_path / "b" / f"frame_{k:06d}.vtu")
+        grid.points += grid.point_data["displacement"]
+        grid.save(tmp_path / "b" / f"frame_{k:06d}.vtu")
+    dataset = open_lazily(moving)
+    assert dataset["displacement"].max(["node", "axis"]).values == pytest.approx([0, 0.4, 0.8])
+    assert dataset["displacement_point"].max(["node", "axis"]).values == pytest.approx([0, 0.2, 0.4])
+    assert dataset.deformation.worst().volume_ratio == pytest.approx(1.4)
+
+
 def test_an_inverted_cell_is_told(tmp_path):
     dataset = moved(tmp_path).load()
     dataset["displacement"][1, :, 0] = -2 * dataset["rest_position"][:, 0]
@@ -342,3 +360,71 @@ def test_frames_with_other_cells_are_nan(tmp_path):
         assert np.isnan(dataset[name][2]).all() and np.isfinite(dataset[name][:2]).all()
     assert "1 frames have other cells, first 2" in dataset.attrs["comment"]
     assert dataset.deformation.worst().volume_ratio == pytest.approx(1.1)
+
+
+FIELDS = [
+    "a",
+    "T",
+    "time",
+    "node",
+    "mesh",
+    "v/w",
+    "volume_ratio",
+    "displacement",
+    "axis",
+    "cell_type",
+    "T_cell",
+    "node_x",
+]
+TYPES = {np.uint8: 200, np.int32: 2**30, np.int64: 2**52, np.float32: 0, np.float64: 0}
+
+
+def draw(rng, count):
+    """Values of a random type, of one, three or six components."""
+    kind = list(TYPES)[rng.integers(5)]
+    shape = (count, *[(), (), (), (3,), (6,)][rng.integers(5)])
+    return (rng.integers(0, TYPES[kind], shape) if TYPES[kind] else rng.normal(size=shape)).astype(kind)
+
+
+def draw_frames(rng):
+    """One to six frames with up to five fields of points and of cells each, that come, go and change their types."""
+    bases = [{name: draw(rng, n) for name in rng.permutation(FIELDS)[: rng.integers(0, 6)]} for n in (N, E)]
+    return [
+        [
+            {
+                name: draw(rng, len(old)) if rng.random() < 0.15 else old
+                for name, old in base.items()
+                if rng.random() > 0.15
+            }
+            for base in bases
+        ]
+        for _ in range(rng.integers(1, 7))
+    ]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_random_table_is_that_of_the_files(tmp_path, monkeypatch, seed):
+    """Each value is that of its file, NaN if it has none, or reading it is an error that names a file."""
+    frames = draw_frames(np.random.default_rng(seed))
+    monkeypatch.setattr(engine, "_CACHE_BYTES", 0 if seed % 2 else 1 << 25)  # look at some frames, or at all
+    dataset = open_lazily(write(tmp_path, *frames), displacement="none", rest="first")
+    seen = set()
+    for name, variable in dataset.data_vars.items():
+        if "time" not in variable.dims or name == "displacement":
+            continue
+        place = ("node", "cell").index(variable.dims[1])
+        source = variable.attrs.get("comment", f" field {name}").split(" field ", 1)[1].removesuffix(" of the files")
+        seen.add((place, source))
+        try:
+            values = variable.values
+        except SeriesError as error:
+            assert "f_" in str(error)
+            continue
+        for k, frame in enumerate(frames):
+            expected = frame[place].get(source, np.nan)
+            assert np.array_equal(values[k], np.broadcast_to(expected, values[k].shape), equal_nan=True)
+    if seed % 2:
+        return
+    for place, source in {(k, name) for frame in frames for k in (0, 1) for name in frame[k]}:
+        shapes = {frame[place][source].shape for frame in frames if source in frame[place]}
+        assert (place, source) in seen or len(shapes) > 1
