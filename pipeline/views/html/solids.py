@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
+from pipeline.mesh.simplex import Mesh
 from pipeline.mesh.skin import find_skin
 from pipeline.series import Series
 from pipeline.views.camera import Camera, fit_camera
@@ -116,9 +117,15 @@ def _count_affordable_frames(series: Sequence[Series]) -> int:
     size = 0
     for recorded in series:
         skin = find_skin(recorded.mesh, join_nodes(recorded))
-        bodies = 2 if len(skin.triangles) <= MOST_EDGES else 1  # the edges count as another body
+        simple = isinstance(recorded.mesh, Mesh)
+        bodies = 2 if _shows_edges(skin.triangles, None if simple else skin.lines) else 1  # the edges are another body
         size += 4 * len(skin.triangles) + 12 * bodies * skin.count
     return max(2, min(MOST_FRAMES, MOST_BYTES // size))
+
+
+def _shows_edges(faces: Ints, lines: Ints | None) -> bool:
+    """Return whether the edges of cells are few enough to be drawn; a triangle has one and a half lines."""
+    return (len(faces) if lines is None else len(lines) * 2 // 3) <= MOST_EDGES
 
 
 def _choose_frames(frames: int, most: int, moment: int) -> tuple[list[int], int]:
@@ -151,7 +158,7 @@ def _pack_scene(track: Track, palette: Palette, toward: Floats, bounds: tuple[fl
         lighting=1.5 if track.normal is None else 1.15,  # faces toward the viewer get the colors of the bar
     )  # fmt: skip
     plot += k3d.mesh(points, faces, triangles_attribute=colors, name="body", **look)
-    if len(faces) <= MOST_EDGES:
+    if _shows_edges(track.faces, track.lines):
         if track.lines is None:
             plot += k3d.mesh(points, faces, color=0x21262F, wireframe=True, opacity=0.25, name="edges")
         else:
