@@ -136,7 +136,8 @@ def _keep_apart(merged: Ints, motion: Sequence[Floats], rounding: float) -> tupl
 
 def allow_gap(x: Floats, rounding: float) -> float:
     """Return the distance [m] up to which points (n, 3) that were one at rest still are."""
-    size = float(np.ptp(x[np.isfinite(x).all(axis=1)], axis=0).max(initial=0.0))
+    finite = x[np.isfinite(x).all(axis=1)]  # none in a frame without its displacement
+    size = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0
     return max(PLANAR * size, 4 * rounding)
 
 

@@ -205,6 +205,16 @@ def test_volume_ratios_are_the_stretches(tmp_path, name):
         assert measured["total_volume"] == pytest.approx(2 * (1 + s), rel=2e-6)
 
 
+@pytest.mark.parametrize(("name", "file"), [("openfoam", "0.125/pointDisplacement"), ("ensight", "disp.0001")])
+def test_an_instant_without_its_displacement_has_no_numbers(tmp_path, name, file):
+    path = WRITERS[name][0](tmp_path)
+    stray = np.random.default_rng(1).bytes((tmp_path / file).stat().st_size)
+    (tmp_path / file).write_bytes(stray)
+    frames = list(read_series(path))
+    assert "no point field" in frames[1].fault and np.isnan(frames[1].x).all()
+    assert measure(frames[2])["volume_ratio"] == pytest.approx(1.5, rel=2e-6)
+
+
 def test_a_series_of_exodus_is_measured(tmp_path):
     series = read_series(write_blocks(tmp_path / "bar.e"), displacement="DISPL")
     assert series.times == tuple(TIMES) and series.name == "bar"
