@@ -152,9 +152,8 @@ def _find_missing_times(index: Path, rows: Sequence[IndexEntry]) -> tuple[list[I
         times = dict.fromkeys(map(id, lacking), 0.0)
         note = "the index has no times, nor have its files"
     else:
-        raise SeriesError(
-            f"{index}: it gives no time (timestep) for {shorten(lacking[0].file.name)}, nor is one in the file; add it"
-        )
+        first = next(row.file.name for row, values in zip(lacking, own, strict=True) if len(values) != 1)
+        raise SeriesError(f"{index}: it gives no time (timestep) for {shorten(first)}, nor is one in the file; add it")
     return [row if row.text else row._replace(time=times[id(row)]) for row in rows], [note]
 
 

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from os.path import normpath
 from pathlib import Path
 from typing import NamedTuple
 
@@ -63,8 +64,8 @@ def _select_files(where: Path, candidates: Sequence[Path]) -> list[Path]:
 
 def _drop_pieces(files: Sequence[Path]) -> list[Path]:
     """Return the files without the pieces of others among them."""
-    pieces = {piece.name for file in files for piece in find_pieces(file)}
-    return [file for file in files if file.name not in pieces] or list(files)  # a file may name itself
+    pieces = {normpath(piece) for file in files for piece in find_pieces(file)}
+    return [file for file in files if normpath(file) not in pieces] or list(files)  # a file may name itself
 
 
 def _list_steps(where: Path, files: Sequence[Path], times: Sequence[FileTimes]) -> tuple[list[IndexEntry], list[str]]:
