@@ -52,7 +52,7 @@ def choose_displacement(
         return DisplacementChoice(None, added=False, text="the points of the files, as displacement = none says")
     if name is not None:
         return _use_named(evidence, name, first, where)
-    motions = evidence.motions
+    motions = {key: motion for key, motion in evidence.motions.items() if motion.vector.role != "derived"}
     if evidence.frames == 1 and not known_rest:
         return _judge_single_frame(evidence, motions, where)
     if known_rest and "rest_position" in first.point_data and not evidence.points_rest:
@@ -152,6 +152,10 @@ def _choose_at_rest(evidence: Evidence, motions: dict[str, FieldMotion], where: 
         raise SeriesError(_ask(evidence, candidates, where))
     if evidence.total == 1:
         return DisplacementChoice(None, added=False, text="the points of the only frame")
+    if derived := [
+        m for m in evidence.motions.values() if m.vector.role == "derived" and _varies(evidence, m) and m.largest > 0
+    ]:
+        raise SeriesError(_ask(evidence, derived, where))
     note = "the points do not move and there is no displacement field: the body is measured as at rest"
     if evidence.on_cells:
         note += f"; the cell field {shorten(evidence.on_cells[0])} does not say where its points are: write it at them"
@@ -232,13 +236,17 @@ def _judge_single_frame(evidence: Evidence, motions: dict[str, FieldMotion], whe
     """Return the choice for a series of one frame: nothing moves in it, so that only its format tells."""
     candidates = [m for m in motions.values() if m.largest > 0 and m.vector.role != "vague"]
     clear = _drop_copies([m for m in candidates if m.vector.role == "clear"])
+    alone = evidence.total > 1
     if not candidates:
-        return DisplacementChoice(None, added=False, text="the points of the only frame")
+        note = "no other frame that was looked at has the cells of the first one, so that nothing shows how points move"
+        text = "the points of the first frame, whose cells no other has" if alone else "the points of the only frame"
+        return DisplacementChoice(None, added=False, notes=(note,) if alone else (), text=text)
     if len(clear) == 1 and any(where.lower().endswith(suffix) for suffix in _MESH_FORMATS):
         return _take(evidence, clear[0])
     names = join_names(sorted(m.vector.name for m in candidates))
     raise SeriesError(
-        f"{where}: one frame does not tell whether its points are at rest or contain the displacement ({names}): say "
+        f"{where}: one frame {'(no other has its cells) ' if alone else ''}does not tell whether its points rest "
+        f"or contain the displacement ({names}): say "
         f'displacement = "{candidates[0].vector.name}" if it must be added to them, displacement = "none" if they are '
         "deformed, or name the file of the rest state (rest = FILE)"
     )

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.formats.grid import Grid, describe_arrays
 
-Role = Literal["clear", "short", "vague", "other"]
+Role = Literal["clear", "short", "vague", "derived", "other"]
 
 _WIDTHS = (2, 3, 4, 6)  # plane, space, homogeneous, and shells: three translations, then three rotations
 _CLEAR = ("displ", "depla", "depl", "deform", "verschieb", "desplaz", "deslocament", "spostament", "verplaats")
@@ -74,7 +74,11 @@ def find_vector_fields(grid: Grid) -> dict[str, VectorField]:
     fields = dict[str, VectorField]()
     for name, shape in shapes.items():
         width = int(np.prod(shape[1:], dtype=np.int64))
-        if len(shape) == 2 and width in _WIDTHS and not (width in (4, 6) and find_role(name) in ("other", "vague")):
+        if (
+            len(shape) == 2
+            and width in _WIDTHS
+            and not (width in (4, 6) and find_role(name) in ("other", "vague", "derived"))
+        ):
             columns = tuple((name, i) for i in range(min(width, 3)))
             fields[name] = VectorField(name, columns, find_role(name))
     scalars = [name for name, shape in shapes.items() if len(shape) == 1 or shape[1:] == (1,)]
@@ -108,7 +112,7 @@ def find_role(name: str) -> Role:
     words = set(re.split(r"[^a-z]+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()))
     if any(word in lower for word in _CLEAR) or "disp" in words or re.fullmatch(r"(u_)?disp(_?\w)?", lower):
         derived = any(word in lower for word in _DERIVED) or bool(words & {"real", "imag", "phase", "mode"})
-        return "other" if derived or "gradient" in lower else "clear"
+        return "derived" if derived else "clear"
     if any(word in lower for word in _OTHERS) or lower in _OTHER_SHORT:
         return "other"
     return "short" if _SHORT.fullmatch(lower) else "vague"

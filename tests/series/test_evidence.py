@@ -186,6 +186,8 @@ def make_questions():
     yield "warped", [(X + 10 * a, {"displacement": a}) for a in u], ("10 times",)
     yield "a force from zero", [(X, {"f": a}) for a in u], ("f",)
     yield "two that the points contain", [(X + a, {"disp_a": a, "disp_b": a - u[1]}) for a in u[1:]], ("disp_b",)
+    yield "real and imaginary part", [(X, {"disp_real": a, "disp_imag": 0 * a}) for a in u], ("disp_real",)
+    yield "increments alone", [(X, {"displacement_increment": a}) for a in u], ("displacement_increment",)
     yield "half of it", [(X + 0.5 * a, {"displacement": a}) for a in u], ("0.5 times",)
     yield "another motion", [(X + a[:, [1, 0, 2]], {"displacement": a}) for a in u], ("not as the field",)
     yield "absurd unit", [(X, {"displacement": 1000 * a}) for a in u], ("times its size",)
