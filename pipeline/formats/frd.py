@@ -90,7 +90,7 @@ def _open(file: Path, _modified: int) -> _FrdContent:
     raw = file.read_bytes().replace(b"\r\n", b"\n") if _is_text(file) else file.read_bytes()
     if not raw.startswith(b"    1C"):
         raise ValueError("it does not begin with 1C, as CalculiX's results do")
-    blocks, complete = list[_Block](), False
+    blocks, complete, cut = list[_Block](), False, 0
     place = 0
     while 0 <= place < len(raw):
         line, after = _read_line(raw, place)
@@ -100,15 +100,17 @@ def _open(file: Path, _modified: int) -> _FrdContent:
         if line.startswith(("    2C", "    3C", "  100C")):
             block = _read_block(raw, line, after)
             if block is None:
+                cut = int(line[58:63]) if line.startswith("  100C") else 0
                 break
             blocks.append(block)
             after = block.end
         place = after
     steps = list(dict.fromkeys(block.step for block in blocks if block.kind == "100C"))
     notes = list[str]()
-    if not complete and steps:
-        notes.append(f"the file does not end with 9999: its last step {steps[-1]} may be cut off and is left out")
-        steps.pop()
+    if not complete and (steps or cut):
+        last = cut or steps[-1]  # without a cut block, further fields of the last step may be missing
+        notes.append(f"the file does not end with 9999: its step {last} may be cut off and is left out")
+        steps = [step for step in steps if step != last]
     if any(block.analysis == _MODES for block in blocks):
         notes.append("its steps are vibration modes: the times are frequencies")
     return _FrdContent(raw, tuple(blocks), tuple(steps), tuple(notes))

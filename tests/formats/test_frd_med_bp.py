@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import SeriesError
+from pipeline.mesh.cell_mesh import CellMesh
 from pipeline.series.frame_files import read_grid, read_times
 
 PROGRAMS = Path(__file__).parents[1] / "programs"
@@ -26,17 +27,32 @@ def test_text_and_binary_of_calculix_agree():
             assert a.point_data[name] == pytest.approx(b.point_data[name], rel=1e-4, abs=1e-4)
 
 
-def test_nodes_between_corners_lie_on_their_edges():
-    """The order of nodes of quadratic hexahedra and wedges differs from VTK's."""
-    edges = {25: [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)],
-             26: [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)],
-             24: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]}  # fmt: skip
-    for name in ("c3d20", "c3d20_binary", "c3d15", "c3d10"):
-        grid = read_grid(FRD / f"{name}.frd", 0)
-        for kind, start, end in zip(grid.types, grid.offsets[:-1], grid.offsets[1:], strict=True):
-            x = grid.points[grid.connectivity[start:end]]
-            pairs = np.array(edges[int(kind)])
-            assert x[len(x) - len(pairs) :] == pytest.approx(x[pairs].mean(axis=1), abs=1e-5)
+EDGES = {
+    25: [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)],
+    26: [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)],
+    27: [(0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)],
+    24: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)],
+}
+
+
+NAMES = ("c3d20", "c3d20_binary", "c3d15", "c3d10")
+QUADRATIC = [*(FRD / f"{name}.frd" for name in NAMES), MED.with_name("quadratic.med")]
+
+
+@pytest.mark.parametrize("path", QUADRATIC, ids=lambda path: path.name)
+def test_nodes_between_corners_lie_on_their_edges(path):
+    """The order of nodes of quadratic cells differs from VTK's."""
+    grid = read_grid(path, 0)
+    for kind, start, end in zip(grid.types, grid.offsets[:-1], grid.offsets[1:], strict=True):
+        x = grid.points[grid.connectivity[start:end]]
+        pairs = np.array(EDGES[int(kind)])
+        assert x[len(x) - len(pairs) :] == pytest.approx(x[pairs].mean(axis=1), abs=1e-5)
+    volumes = CellMesh(grid.points, grid.cells, 3).rest_volumes
+    assert (volumes > 0).all()
+    if path.suffix == ".med":
+        assert dict(zip(grid.types.tolist(), volumes, strict=True)) == pytest.approx(
+            {24: 1 / 6, 27: 1 / 3, 26: 0.5, 25: 1}
+        )
 
 
 def test_a_step_of_calculix_that_is_cut_off_is_left_out(tmp_path):
