@@ -14,6 +14,7 @@ from pipeline.errors import MeshChangedError, SeriesError, join_names, shorten
 from pipeline.formats.grid import Grid
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.cell_mesh import CellMesh
+from pipeline.mesh.cleanup import PLANAR
 from pipeline.run.frame import Values
 from pipeline.series.arrangement import (
     Arrangement,
@@ -28,7 +29,7 @@ from pipeline.series.cell_selection import find_ghosts
 from pipeline.series.cell_sides import join_coincident
 from pipeline.series.decisions import Decisions
 from pipeline.series.displacement import DisplacementChoice
-from pipeline.series.rest_mesh import PLANAR, allow_gap
+from pipeline.series.rest_mesh import allow_gap
 from pipeline.series.vector_fields import VectorField, find_vector_fields
 from pipeline.series.whole_body import measure_whole_body
 

@@ -17,13 +17,13 @@ from pipeline.formats.grid import CellArray, Grid, PolyhedronFaces
 from pipeline.mesh.blocks import find_simplices, mirror_cells
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.cell_mesh import CellMesh, measure_volumes
+from pipeline.mesh.cleanup import PLANAR
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 from pipeline.series.arrangement import Arrangement
 from pipeline.series.cell_arrays import select_array
 from pipeline.series.cell_selection import CellChoice, describe_left_out, extract_cells, find_doubled_cells
 from pipeline.series.cell_sides import compare_sides
 
-PLANAR = 1e-6  # of the size: rounding to single precision leaves a few 1e-7 of it
 _COINCIDENT = 1e-9  # of the size, and at least a few units of the precision of the points
 _FEW = 0.05  # of the cells: more flat ones are a fault of the rest state
 _FLAT = 1e-13  # of the cube (square) of a cell's size: rounding of its volume
