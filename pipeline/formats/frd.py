@@ -98,9 +98,14 @@ def _open(file: Path, _modified: int) -> _FrdContent:
             complete = True
             break
         if line.startswith(("    2C", "    3C", "  100C")):
-            block = _read_block(raw, line, after)
+            try:
+                block = _read_block(raw, line, after)
+            except ValueError:
+                if raw.find(b"\n -3", after - 1) >= 0 or not blocks:
+                    raise
+                block = None  # the file ends in the lines that begin the block
             if block is None:
-                cut = int(line[58:63]) if line.startswith("  100C") else 0
+                cut = int(line[58:63]) if line.startswith("  100C") and len(line) > 63 else 0
                 break
             blocks.append(block)
             after = block.end

@@ -66,6 +66,20 @@ def test_a_step_of_calculix_that_is_cut_off_is_left_out(tmp_path):
     assert np.array_equal(grid.point_data["DISP"], read_grid(FRD / "c3d8.frd", len(times) - 2).point_data["DISP"])
 
 
+@pytest.mark.parametrize("name", ["c3d8.frd", "c3d20_binary.frd"])
+def test_a_file_that_is_being_written_has_its_whole_steps(tmp_path, name):
+    whole, path = (FRD / name).read_bytes(), tmp_path / "a.frd"
+    times = read_times(FRD / name).values
+    starts = [whole.index(b"  100CL  101"), whole.index(b"  100CL  102")]
+    for end in range(starts[1] + 1, len(whole) - 6, 41):
+        path.write_bytes(whole[:end])
+        found = read_times(path).values
+        assert found == times[: len(found)] and len(found) < 3
+        for k in range(len(found)):
+            grid = read_grid(path, k)
+            assert np.array_equal(grid.point_data["DISP"], read_grid(FRD / name, k).point_data["DISP"])
+
+
 @pytest.mark.parametrize("name", ["c3d20.frd", "c3d20_binary.frd"])
 def test_damaged_files_of_calculix_are_one_line(tmp_path, name):
     whole = (FRD / name).read_bytes()
