@@ -26,6 +26,7 @@ from pipeline.system.times import TIME_RTOL, are_same_times
 
 _BLOCK_BYTES = 1 << 22  # of one field: 4 MB, 2700 frames of 192 cells, or one of half a million
 _CHUNK_VALUES = 2048  # of one variant and several frames: 16 kB, as in statistics.nc
+_OTHER_SIZE = 10.0  # bodies that differ more are hardly meant to be compared as they are
 _DIFFERENCES = ("volume_ratio", "rotation_angle")
 
 
@@ -298,6 +299,7 @@ def _match_series(series: Sequence[Series], *, difference: bool) -> Matches:
             )
         if match is None:
             check_units(first, other)
+            notes += _compare_sizes(first, other)
             if difference:
                 samplings[-1] = sampling = sample_series(first, other)
                 notes.append(_describe_sampling(first, other, sampling))
@@ -307,12 +309,25 @@ def _match_series(series: Sequence[Series], *, difference: bool) -> Matches:
 def _describe_sampling(first: Series, other: Series, sampling: Sampling) -> str:
     """Return a note on a series that is sampled."""
     lost = int(np.isnan(sampling.take_nodes(other.mesh.points)).any(axis=1).sum())
+    cells, nodes = len(sampling.cells), len(first.mesh.points)
+    missing = (
+        f"{100 * sampling.without_partner:.3g} % of the volume ({int((sampling.cells < 0).sum())} of {cells} cells) "
+        f"and {lost} of {nodes} nodes have no partner and are NaN"
+        if lost or sampling.without_partner
+        else f"all {cells} cells and {nodes} nodes have a partner"
+    )
     return (
         f"{other.name} has another mesh than {first.name}: its numbers are sampled at rest positions of nodes and "
-        f"centers of cells of {first.name}; {100 * sampling.without_partner:.3g} % of the volume "
-        f"({int((sampling.cells < 0).sum())} of {len(sampling.cells)} cells) and {lost} of "
-        f"{len(first.mesh.points)} nodes have no partner and are NaN"
+        f"centers of cells of {first.name}; {missing}"
     )
+
+
+def _compare_sizes(first: Series, other: Series) -> list[str]:
+    """Return a note if bodies on different meshes differ so much in size that their units may differ."""
+    ratio = other.mesh.size / first.mesh.size
+    if 1 / _OTHER_SIZE < ratio < _OTHER_SIZE:
+        return []
+    return [f"{other.name} is {ratio:.3g} times as large as {first.name}: check that both have the same unit of length"]
 
 
 def _choose_times(series: Sequence[Series]) -> tuple[Floats, tuple[str, ...]]:

@@ -67,7 +67,7 @@ def test_different_meshes_of_one_body_are_sampled(tmp_path, motion):
     b = write(tmp_path / "b", *bar((6, 3, 1)), motion)
     result = compare([a, b], tmp_path / "out", difference=True)
     note = next(note for note in result.notes if "another mesh" in note)
-    assert "0 % of the volume (0 of 48 cells) and 0 of 27 nodes have no partner" in note
+    assert note.endswith("all 48 cells and 27 nodes have a partner")
     with xarray.open_dataset(result.files[0]) as dataset:
         assert_conventional(dataset)
         assert dataset.sizes["cell"] == 48 and dataset.sizes["node"] == 27
@@ -132,6 +132,12 @@ def test_other_units_are_refused(tmp_path, capsys, factor, units, difference):
     words = ["compare", str(tmp_path / "a" / "s.pvd"), str(tmp_path / "b" / "s.pvd"), "--out", str(tmp_path / "cli")]
     assert main([*words, *(["--difference"] if difference else [])]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_another_size_is_noted(tmp_path):
+    a = write(tmp_path / "a", *bar((2, 1, 1), (2.0, 1.0, 1.0)))
+    b = write(tmp_path / "b", *bar((2, 1, 1), (1900.0, 1000.0, 1100.0)))
+    assert any("b is 985 times as large as a: check" in note for note in compare([a, b], tmp_path / "out").notes)
 
 
 def test_bodies_elsewhere_have_no_difference(tmp_path):
