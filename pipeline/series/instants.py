@@ -19,6 +19,7 @@ from pipeline.formats.pvd import IndexEntry
 from pipeline.series.file_names import list_numbers, make_natural_key, make_template, read_decimals
 from pipeline.series.frame_files import find_fault, read_grid, read_times
 from pipeline.series.frame_times import spread_times
+from pipeline.series.numbered import find_numbered_parts
 
 _MOST_READ = 8  # files of one time that are compared
 
@@ -53,7 +54,7 @@ def arrange_instants(entries: Sequence[IndexEntry], where: str) -> Instants:
         return Instants([Member(entry.time, entry.file, entry.step) for entry in entries], [], [])
     parts, notes = _find_parts(entries, where)
     kept, restart_notes = _drop_replaced(entries, parts, where)
-    instants = _group_instants(entries, parts, kept)
+    instants, repeat_notes = _drop_repeated(entries, _group_instants(entries, parts, kept, where))
     instants, faults = _drop_incomplete(entries, parts, instants)
     if len(set(parts)) > 1:
         _check_parts(entries, parts, instants)
@@ -68,7 +69,7 @@ def arrange_instants(entries: Sequence[IndexEntry], where: str) -> Instants:
         Member(time, entries[own[0]].file, entries[own[0]].step, tuple(entries[i].file for i in own[1:]))
         for time, own in zip(new_times, in_order, strict=True)
     ]
-    return Instants(members, [*notes, *restart_notes, *time_notes], faults)
+    return Instants(members, [*notes, *restart_notes, *repeat_notes, *time_notes], faults)
 
 
 def _check_declared(entries: Sequence[IndexEntry], where: str) -> None:
@@ -128,18 +129,33 @@ def _take_templates(entries: Sequence[IndexEntry], groups: _Groups, _where: str)
     return names if any(len({names[i] for i in own}) > 1 for own in groups) else None
 
 
-def _take_number(entries: Sequence[IndexEntry], groups: _Groups, _where: str) -> _Parts | None:
-    """Return the number in the names that alone varies within a time, between the same values at several times."""
-    if len(groups) < 2:
-        return None
-    numbers = list_numbers([entry.file for entry in entries])
+def _take_number(entries: Sequence[IndexEntry], groups: _Groups, where: str) -> _Parts | None:
+    """Return the number in the names that takes the same values at all times, for each value of the other numbers.
+
+    If there is only one time, the cells and places of the bodies decide between numbers. Raises SeriesError if they
+    do not.
+    """
+    files = [entry.file for entry in entries]
+    if len({entries[own[0]].time for own in groups}) == 1:
+        if len(groups) > 1 or len(groups[0]) < len(entries):
+            return None
+        found, _ = find_numbered_parts(Path(where), files, {file for file in files if find_fault(file)})
+        return None if found is None else [(str(part),) for _, part in found]
+    numbers = list_numbers(files)
+    fitting = list[int]()
     for k in range(len(numbers[0])):
-        values = [tuple(numbers[i][k] for i in own) for own in groups]
-        rest = [{(*numbers[i][:k], *numbers[i][k + 1 :]) for i in own} for own in groups]
-        distinct = all(len(set(own)) == len(own) for own in values)
-        if distinct and len({frozenset(own) for own in values}) == 1 and all(len(own) == 1 for own in rest):
-            return [(str(own[k]),) for own in numbers]
-    return None
+        values = defaultdict[tuple[int, tuple[int, ...]], list[int]](list)
+        for n, i in ((n, i) for n, own in enumerate(groups) for i in own):
+            values[n, (*numbers[i][:k], *numbers[i][k + 1 :])].append(numbers[i][k])
+        sets = {tuple(sorted(own)) for own in values.values()}
+        if len(sets) == 1 and len(set(own := sets.pop())) == len(own) > 1:
+            fitting.append(k)
+    if len(fitting) > 1:
+        raise SeriesError(
+            f"{where}: several numbers in the names, such as {shorten(files[-1].name)}, may be that of a part: number "
+            'the parts in the index (part="0", part="1")'
+        )
+    return [(str(own[fitting[0]]),) for own in numbers] if fitting else None
 
 
 def _take_order(entries: Sequence[IndexEntry], groups: _Groups, where: str) -> _Parts | None:
@@ -181,24 +197,48 @@ def _recur(entries: Sequence[IndexEntry], groups: _Groups, grids: Sequence[Grid]
 
 
 def _drop_replaced(entries: Sequence[IndexEntry], parts: _Parts, where: str) -> tuple[list[int], list[str]]:
-    """Return the entries that no restart replaced, in order, and notes."""
-    kept, replaced, repeated = list[int](), 0, 0
-    for part in dict.fromkeys(parts):
-        own = [i for i, other in enumerate(parts) if other == part]
-        left = _follow_restarts(entries, own, where)
-        replaced += len(own) - len(left)
-        unique = [
-            i for n, i in enumerate(left)
-            if n + 1 == len(left) or not _is_repeated(entries[i], entries[left[n + 1]])
-        ]  # fmt: skip
-        repeated += len(left) - len(unique)
-        kept += unique
-    notes = []
-    if replaced:
-        notes.append(f"the times go back, as after a restart: {replaced} frames that it replaced were left out")
-    if repeated:
-        notes.append(f"{repeated} frames have the time and the content of the next one and were left out")
-    return sorted(kept), notes
+    """Return the entries that no restart replaced, in order, and a note; raises SeriesError if two runs follow.
+
+    In an index that lists all parts of a time together, a restart of one part is that of all.
+    """
+    places = defaultdict[tuple[str, ...], list[int]](list)
+    for i, part in enumerate(parts):
+        places[part].append(i)
+    restarting = {part for part, own in places.items() if _has_restart(entries, own)}
+    if not restarting:
+        return list(range(len(entries))), []
+    pairs = pairwise(zip(entries, parts, strict=True))
+    together = any(a.time == b.time and part != other for (a, part), (b, other) in pairs)
+    kept = defaultdict[tuple[str, ...], list[int]](list)
+    for i, (entry, part) in enumerate(zip(entries, parts, strict=True)):
+        own = kept[part]
+        if part in restarting and own and entry.time < entries[own[-1]].time:
+            for other in list(kept.values()) if together else [own]:
+                while other and entries[other[-1]].time >= entry.time:
+                    other.pop()
+            if not own and entry.file not in {entries[k].file for k in places[part] if k < i}:
+                raise SeriesError(
+                    f"{where}: the times begin again with {entry.time:g} s at {shorten(entry.file.name)}: two runs, or "
+                    "two steps of an analysis; name the files of one by a pattern, or write an index of its own"
+                )
+        own.append(i)
+    left = sorted(i for own in kept.values() for i in own)
+    note = f"the times go back, as after a restart: {len(entries) - len(left)} files that it replaced were left out"
+    return left, [note]
+
+
+def _drop_repeated(entries: Sequence[IndexEntry], instants: list[list[int]]) -> tuple[list[list[int]], list[str]]:
+    """Return the instants without those whose time and content are those of the next, and a note."""
+    ends = [*instants[1:], []]
+    unique = [
+        own for own, following in zip(instants, ends, strict=True)
+        if len(own) != len(following)
+        or not all(_is_repeated(entries[i], entries[k]) for i, k in zip(own, following, strict=True))
+    ]  # fmt: skip
+    if len(unique) == len(instants):
+        return instants, []
+    count = len(instants) - len(unique)
+    return unique, [f"{count} frames have the time and the content of the next one and were left out"]
 
 
 def _is_repeated(entry: IndexEntry, following: IndexEntry) -> bool:
@@ -211,29 +251,6 @@ def _is_repeated(entry: IndexEntry, following: IndexEntry) -> bool:
         return is_same_content(entry.file, following.file, shallow=False)
     except OSError:  # reported later
         return False
-
-
-def _follow_restarts(entries: Sequence[IndexEntry], own: list[int], where: str) -> list[int]:
-    """Return the entries of one part without those that a restart replaced; raises SeriesError if two runs follow."""
-    if not _has_restart(entries, own):
-        return own
-    kept = list[int]()
-    for i in own:
-        before = len(kept)
-        while kept and entries[kept[-1]].time > entries[i].time:
-            kept.pop()
-        if len(kept) == before:
-            kept.append(i)
-            continue
-        while kept and entries[kept[-1]].time == entries[i].time:
-            kept.pop()
-        if not kept and entries[i].file not in {entries[k].file for k in own if k < i}:
-            raise SeriesError(
-                f"{where}: the times begin again with {entries[i].time:g} s at {shorten(entries[i].file.name)}: two "
-                "runs, or two steps of an analysis; name the files of one by a pattern, or write an index of its own"
-            )
-        kept.append(i)
-    return kept
 
 
 def _has_restart(entries: Sequence[IndexEntry], own: list[int]) -> bool:
@@ -251,15 +268,24 @@ def _has_restart(entries: Sequence[IndexEntry], own: list[int]) -> bool:
     return all(a < b for a, b in pairwise(map(make_natural_key, files)))
 
 
-def _group_instants(entries: Sequence[IndexEntry], parts: _Parts, kept: list[int]) -> list[list[int]]:
-    """Return the entries of each instant, its parts in their order: the k-th of each part at a time go together."""
+def _group_instants(entries: Sequence[IndexEntry], parts: _Parts, kept: list[int], where: str) -> list[list[int]]:
+    """Return the entries of each instant, its parts in their order: the k-th of each part at a time go together.
+
+    Raises SeriesError if parts occur at a time more or less often than others.
+    """
     order = {part: k for k, part in enumerate(dict.fromkeys(parts))}
-    seen = defaultdict[tuple[float, tuple[str, ...]], int](int)
+    seen = defaultdict[float, Counter[tuple[str, ...]]](Counter)
     instants = defaultdict[tuple[float, int], list[int]](list)
     for i in kept:
-        key = (entries[i].time, parts[i])
-        instants[entries[i].time, seen[key]].append(i)
-        seen[key] += 1
+        counts = seen[entries[i].time]
+        instants[entries[i].time, counts[parts[i]]].append(i)
+        counts[parts[i]] += 1
+    unclear = next((time for time, counts in seen.items() if len(set(counts.values())) > 1), None)
+    if unclear is not None:
+        raise SeriesError(
+            f"{where}: at t = {unclear:g} s some parts of the body occur more often than others, as after a restart: "
+            "it is not clear which belong together; remove the older ones from the index"
+        )
     return [sorted(own, key=lambda i: order[parts[i]]) for own in instants.values()]
 
 

@@ -86,7 +86,7 @@ def _count_frames(
     where: Path, files: list[Path], faulty: set[Path], have_times: bool
 ) -> tuple[list[IndexEntry], list[str]]:
     """Return the entries of files without times that differ: counted, or at the times in their names."""
-    parts, notes = _find_parts(where, files, faulty)
+    parts, notes = find_numbered_parts(where, files, faulty)
     if parts is not None:
         numbers = {number: float(i) for i, number in enumerate(sorted({number for number, _ in parts}))}
         entries = [
@@ -103,7 +103,7 @@ def _count_frames(
     return entries, [*notes, f"{reason}; frames are counted from 0"] if len(files) > 1 else []
 
 
-def _find_parts(
+def find_numbered_parts(
     where: Path, files: Sequence[Path], faulty: set[Path]
 ) -> tuple[list[tuple[int, int]] | None, list[str]]:
     """Return the numbers of the frame and the part of each file, None if the files are frames of one body, and a note.

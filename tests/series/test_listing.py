@@ -150,7 +150,7 @@ def test_a_restart_replaces_the_frames_after_its_begin(tmp_path):
         series = read_series(path)
         assert series.times == (0.0, 1.0, 1.5, 2.5, 3.5)
         assert list_ratios(path) == pytest.approx([1.0, 1.1, 1.15, 1.25, 1.35])
-        assert any("2 frames that it replaced" in note for note in series.notes)
+        assert any("2 files that it replaced" in note for note in series.notes)
 
 
 def test_a_run_into_the_same_files_replaces_all(tmp_path):
@@ -522,6 +522,51 @@ def test_parts_that_never_share_a_time_are_asked_about(tmp_path):
     assert_asked(tmp_path / "s.pvd", "2 parts", "never two at one time")
     write_pvd(tmp_path / "s.pvd", [{"timestep": k, "part": k, "file": f"f_{k}_0.vtu"} for k in range(3)])
     assert list_ratios(tmp_path / "s.pvd") == pytest.approx([1.0, 1.2, 1.5])
+
+
+RUNS = [(0, 1.0), (1, 1.1), (2, 9.0), (1, 1.15), (2, 1.25), (3, 1.35)]  # times and stretches of a run and its restart
+
+
+def write_run_of_halves(folder: Path, times, *, numbered: bool, killed: bool = False) -> Path:
+    """Write the halves of the bar for RUNS and an index at these times; killed: one file of the first is missing."""
+    for k, (_, factor) in enumerate(RUNS):
+        for r, own in enumerate((CELLS[:6], CELLS[6:])):
+            used, local = split(own)
+            write_vtu(folder / f"g_{k}_{r}.vtu", stretch(POINTS, factor)[used], [(10, local)])
+    part = (lambda r: {"part": r}) if numbered else (lambda _: {})
+    rows = [{"timestep": t, **part(r), "file": f"g_{k}_{r}.vtu"} for k, t in enumerate(times) for r in range(2)]
+    write_pvd(folder / "s.pvd", rows[:5] + rows[6:] if killed else rows)
+    return folder / "s.pvd"
+
+
+@pytest.mark.parametrize(("numbered", "killed"), [(True, False), (False, False), (True, True)])
+def test_a_restart_of_parts_is_that_of_all(tmp_path, numbered, killed):
+    path = write_run_of_halves(tmp_path, [t for t, _ in RUNS], numbered=numbered, killed=killed)
+    series = read_series(path)
+    assert series.times == (0.0, 1.0, 2.0, 3.0) and list_ratios(path) == pytest.approx([1.0, 1.15, 1.25, 1.35])
+    assert len(series.mesh.rest_volumes) == 12
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_rounded_times_of_parts(tmp_path, numbered):
+    path = write_run_of_halves(tmp_path, [0, 1, 2, 2, 2, 3], numbered=numbered)
+    assert list_ratios(path) == pytest.approx([factor for _, factor in RUNS])
+    assert read_series(path).times == pytest.approx([0, 1, 2, 2 + 1 / 6, 2 + 1 / 3, 3])
+
+
+def test_one_time_for_all_frames_of_parts(tmp_path):
+    """Equal cells in both halves: only their places tell parts from frames."""
+    path = write_run_of_halves(tmp_path, [0] * 6, numbered=False)
+    assert list_ratios(path) == pytest.approx([factor for _, factor in RUNS])
+    assert read_series(path).times == tuple(map(float, range(6)))
+
+
+def test_parts_that_restart_in_part_are_asked_about(tmp_path):
+    path = write_run_of_halves(tmp_path, [t for t, _ in RUNS], numbered=True)
+    rows = path.read_text().splitlines()
+    first, second = ([row for row in rows if f'part="{r}"' in row] for r in range(2))
+    path.write_text("\n".join([*rows[:3], *first, *second[:2], *second[3:], *rows[-2:]]))
+    assert_asked(path, "t = 1 s", "more often than others")
 
 
 def test_parts_with_counting_names(tmp_path):

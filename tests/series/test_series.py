@@ -343,7 +343,7 @@ def test_times_are_sorted_and_those_before_a_restart_left_out(tmp_path):
     rows = [(0.0, "f0.vtu"), (0.1, "f2.vtu"), (0.25, "f0.vtu"), (0.1, "f1.vtu"), (0.25, "f2.vtu")]
     series = read_series(write_pvd(tmp_path, rows))
     assert_grows(series)
-    assert "as after a restart: 2 frames that it replaced were left out" in series.notes[0]
+    assert "as after a restart: 2 files that it replaced were left out" in series.notes[0]
 
 
 def test_a_changed_mesh_has_numbers_of_the_whole_body(tmp_path):
