@@ -79,6 +79,18 @@ def have_same_cells(a: Grid, b: Grid) -> bool:
     return a.count == b.count and _have_equal_arrays(a.cells, b.cells)
 
 
+def have_same_points(a: Grid, b: Grid) -> bool:
+    """Return whether two grids have the same points, as far as cells tell: those of one are among those of the other.
+
+    So it is if cells are deleted or added, and points stay.
+    """
+    if a.count != b.count or not len(a.types) or not len(b.types):
+        return False
+    fewer, more = (a, b) if len(a.types) <= len(b.types) else (b, a)
+    same = np.arange(a.count)
+    return _find_cells(more.cells, same, fewer.cells, same) is not None
+
+
 def _have_equal_arrays(a: CellArray, b: CellArray) -> bool:
     """Return whether two lists of cells are equal: polygons of other lengths, or other faces of polyhedra, are not."""
     arrays: list[tuple[NDArray[Any], NDArray[Any]]] = [

@@ -156,6 +156,11 @@ def _choose_at_rest(evidence: Evidence, motions: dict[str, FieldMotion], where: 
         m for m in evidence.motions.values() if m.vector.role == "derived" and _varies(evidence, m) and m.largest > 0
     ]:
         raise SeriesError(_ask(evidence, derived, where))
+    if evidence.unusable:
+        raise SeriesError(
+            f"{where}: the points do not move, and {join_names(evidence.unusable)} is no vector in the plane or space: "
+            'name the fields of all components (displacement = "X,Y,Z"), or say displacement = "none"'
+        )
     note = "the points do not move and there is no displacement field: the body is measured as at rest"
     if evidence.on_cells:
         note += f"; the cell field {shorten(evidence.on_cells[0])} does not say where its points are: write it at them"
@@ -217,7 +222,7 @@ def _drop_copies(motions: list[FieldMotion]) -> list[FieldMotion]:
 
 def _ask(evidence: Evidence, candidates: list[FieldMotion], where: str) -> str:
     """Return the question, with the choices and the reasons against taking one of them."""
-    names = join_names(sorted(m.vector.name for m in candidates))
+    names = sorted({*evidence.elsewhere, *(m.vector.name for m in candidates)})
     reasons = []
     if evidence.flow:
         reasons.append(f"beside {join_names(evidence.flow)}, a vector may be a velocity")
@@ -237,17 +242,17 @@ def _judge_single_frame(evidence: Evidence, motions: dict[str, FieldMotion], whe
     candidates = [m for m in motions.values() if m.largest > 0 and m.vector.role != "vague"]
     clear = _drop_copies([m for m in candidates if m.vector.role == "clear"])
     alone = evidence.total > 1
-    if not candidates:
+    if not candidates and not evidence.elsewhere:
         note = "no other frame that was looked at has the cells of the first one, so that nothing shows how points move"
         text = "the points of the first frame, whose cells no other has" if alone else "the points of the only frame"
         return DisplacementChoice(None, added=False, notes=(note,) if alone else (), text=text)
     if len(clear) == 1 and any(where.lower().endswith(suffix) for suffix in _MESH_FORMATS):
         return _take(evidence, clear[0])
-    names = join_names(sorted(m.vector.name for m in candidates))
+    names = sorted({*evidence.elsewhere, *(m.vector.name for m in candidates)})
     raise SeriesError(
         f"{where}: one frame {'(no other has its cells) ' if alone else ''}does not tell whether its points rest "
-        f"or contain the displacement ({names}): say "
-        f'displacement = "{candidates[0].vector.name}" if it must be added to them, displacement = "none" if they are '
+        f"or contain the displacement ({join_names(names)}): say "
+        f'displacement = "{names[0]}" if it must be added to them, displacement = "none" if they are '
         "deformed, or name the file of the rest state (rest = FILE)"
     )
 

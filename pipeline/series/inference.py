@@ -4,7 +4,8 @@ A few frames are enough: the first ones, the last, and some between; of a short 
 are checked against the decisions.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from pipeline.series.arrangement import (
     IdTable,
     find_ids,
     have_same_cells,
+    have_same_points,
     match_by_ids,
     match_by_positions,
 )
@@ -28,6 +30,7 @@ from pipeline.series.layout import Options, SeriesLayout
 from pipeline.series.motion_evidence import Evidence, Sample, choose_sample, is_single, weigh_evidence
 from pipeline.series.rest_mesh import RestMesh, build_rest_mesh, find_normal
 from pipeline.series.rest_state import RestPositions, find_rest_state, read_reference
+from pipeline.series.vector_fields import find_vector_fields
 
 _ODD = 0.1  # of the coordinates: a number that was rounded has an odd last digit in every second case
 _PRECISE = 1e-4  # of a cell's size: coarser coordinates deserve a note
@@ -44,8 +47,8 @@ def infer_layout(
     ids = find_ids(first, Arrangement(), first.cells, use=not ours)
     reference, source = read_reference(options.rest, first, ids, where)
     own = ours and reference is not None and source == "the field rest_position" and options.displacement is None
-    sample = [(0, first)] if own else list(_collect_sample(first, read, count, ids))
-    evidence = weigh_evidence(sample, reference, count)
+    sample, elsewhere = ([(0, first)], list[str]()) if own else _collect_sample(first, read, count, ids)
+    evidence = replace(weigh_evidence(sample, reference, count), elsewhere=tuple(elsewhere))
     if own:
         choice = DisplacementChoice(None, added=False, text="deformed points")
     else:
@@ -62,16 +65,23 @@ def infer_layout(
     return layout
 
 
-def _collect_sample(first: Grid, read: Callable[[int], Grid], count: int, ids: IdTable) -> Iterator[tuple[int, Grid]]:
-    """Yield the frames to look at, by index, with the points of each in the order of the first.
+def _collect_sample(
+    first: Grid, read: Callable[[int], Grid], count: int, ids: IdTable
+) -> tuple[list[tuple[int, Grid]], list[str]]:
+    """Return the frames to look at, by index, with the points of each in the order of the first.
 
-    Frames with another mesh are passed over.
+    Frames with other points are passed over; the fields in them that may be a displacement are returned beside.
     """
-    yield 0, first
+    sample, elsewhere = [(0, first)], set[str]()
     for index in choose_sample(count, first.count)[1:]:
         grid = read(index)
         if (arranged := _rearrange(grid, first, ids)) is not None:
-            yield index, arranged
+            sample.append((index, arranged))
+            continue
+        for name, vector in find_vector_fields(grid).items():
+            if vector.role in ("clear", "short") and (u := vector.read(grid)) is not None and np.nan_to_num(u).any():
+                elsewhere.add(name)
+    return sample, sorted(elsewhere)
 
 
 def _rearrange(grid: Grid, first: Grid, ids: IdTable) -> Grid | None:
@@ -85,7 +95,8 @@ def _rearrange(grid: Grid, first: Grid, ids: IdTable) -> Grid | None:
         tolerance = 1e-7 * float(np.ptp(first.points, axis=0).max(initial=0.0))
         found = match_by_positions(first.points, first.cells, grid.points, grid.cells, tolerance)
     if found is None:
-        return grid if in_place else None
+        changed = len(grid.types) != len(first.types)  # else the same points would come in another order
+        return grid if in_place or (changed and have_same_points(grid, first)) else None
     points = {name: found.select_nodes(np.asarray(values)) for name, values in grid.point_data.items()}
     stored = found.select_nodes(grid.points)
     return Grid(stored, first.count, first.types, first.offsets, first.connectivity, points, {}, {}, first.faces)

@@ -10,7 +10,13 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.formats.grid import Grid
-from pipeline.series.vector_fields import VectorField, find_cell_displacements, find_flow_fields, find_vector_fields
+from pipeline.series.vector_fields import (
+    VectorField,
+    find_cell_displacements,
+    find_flow_fields,
+    find_unusable_fields,
+    find_vector_fields,
+)
 
 _LOOKED_AT = 1_000_000  # points of all frames that are looked at when a series is opened
 _FEWEST, _MOST = 3, 24  # frames
@@ -53,6 +59,8 @@ class Evidence:
     total: int
     flow: tuple[str, ...]  # fields of a flow
     on_cells: tuple[str, ...] = ()  # vectors of cells that may be a displacement
+    unusable: tuple[str, ...] = ()  # fields that are named as a displacement and are no vectors
+    elsewhere: tuple[str, ...] = ()  # vectors of frames with other points that may be a displacement
 
     @property
     def points_rest(self) -> bool:
@@ -98,7 +106,8 @@ def weigh_evidence(sample: Sample, reference: Floats | None, total: int) -> Evid
     size = float(np.linalg.norm(np.ptp(x0[np.isfinite(x0).all(axis=1)], axis=0))) if np.isfinite(x0).any() else 0.0
     on_cells = tuple(find_cell_displacements(sample[-1][1]))
     flow = tuple(sorted(find_flow_fields(names)))
-    return Evidence(motions, moves, rounding, size, len(sample), total, flow, on_cells)
+    unusable = tuple(find_unusable_fields(sample[-1][1]))
+    return Evidence(motions, moves, rounding, size, len(sample), total, flow, on_cells, unusable)
 
 
 def _compare(motion: FieldMotion, moved: Floats, u: Floats, du: Floats, step: Floats | None) -> None:

@@ -118,6 +118,18 @@ def find_role(name: str) -> Role:
     return "short" if _SHORT.fullmatch(lower) else "vague"
 
 
+def find_unusable_fields(grid: Grid) -> list[str]:
+    """Return the names of point fields that speak of a displacement, are no vectors and are not zero."""
+    used = {source for vector in find_vector_fields(grid).values() for source, _ in vector.columns}
+    names = []
+    for name, (dtype, shape) in describe_arrays(grid.point_data).items():
+        stem = re.sub(r"[ _:.-]*[xyz]$", "", name, flags=re.IGNORECASE)
+        speaks = find_role(name) in ("clear", "derived") or (stem != name and find_role(stem) in ("clear", "short"))
+        if name not in used and speaks and dtype.kind in "fiu" and shape and np.nan_to_num(grid.point_data[name]).any():
+            names.append(name)
+    return names
+
+
 def find_cell_displacements(grid: Grid) -> list[str]:
     """Return the names of vectors at cells that may be a displacement, though cells do not say where nodes are."""
     shapes = {name: shape for name, (_, shape) in describe_arrays(grid.cell_data).items()}

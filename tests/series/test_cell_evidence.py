@@ -467,6 +467,28 @@ def test_eroded_cells_leave_the_whole_body(tmp_path):
     assert totals == pytest.approx([2, 2 - 6 / 36, 2 - 12 / 36])
 
 
+@pytest.mark.parametrize("moving", [False, True])
+def test_the_displacement_of_eroded_cells_counts(tmp_path, moving):
+    frames = []
+    for k, s in enumerate(STRETCHES):
+        grid = make(TETRAHEDRA.cells[: len(TETRAHEDRA.cells) - 6 * k], TETRAHEDRA.points, s=s)
+        if moving:
+            grid.points = stretch(TETRAHEDRA.points, s)
+        frames.append(grid)
+    series = read_series(write(tmp_path, frames))
+    totals = [float(measure(frame)["total_volume"]) for frame in series]
+    assert totals == pytest.approx([(2 - k * 6 / 36) * s for k, s in enumerate(STRETCHES)])
+
+
+def test_a_displacement_of_frames_with_other_points_is_asked_about(tmp_path):
+    meshes = [box([2.0, 1.0, 1.0], [n, 1, 1]) for n in (2, 3, 4)]
+    frames = [make(mesh.cells, mesh.points, s=s) for mesh, s in zip(meshes, STRETCHES, strict=False)]
+    with pytest.raises(SeriesError, match=r"no other has its cells.*displacement"):
+        read_series(write(tmp_path, frames))
+    totals = [float(measure(frame)["total_volume"]) for frame in read_series(tmp_path, displacement="displacement")]
+    assert totals == pytest.approx([2 * s for s in STRETCHES[:3]])
+
+
 @pytest.mark.parametrize("kind", ["deformed", "rest"])
 def test_the_command_counts_a_displacement_once(tmp_path, kind, capsys):
     """A frame of deformed points with a displacement, and the file of the rest state."""
