@@ -32,6 +32,7 @@ from pipeline.series.rest_mesh import RestMesh, build_rest_mesh, find_normal
 from pipeline.series.rest_state import RestPositions, find_rest_state, read_reference
 from pipeline.series.vector_fields import find_vector_fields
 
+_ALIKE = 1e-3  # of the largest motion: a displacement that differs less says the same
 _ODD = 0.1  # of the coordinates: a number that was rounded has an odd last digit in every second case
 _PRECISE = 1e-4  # of a cell's size: coarser coordinates deserve a note
 
@@ -87,7 +88,8 @@ def _collect_sample(
 def _rearrange(grid: Grid, first: Grid, ids: IdTable) -> Grid | None:
     """Return a frame with its points in the order of the first, or None if it has another mesh."""
     in_place = have_same_cells(grid, first) and ids.are_in_place(grid)
-    if in_place and (len(np.unique(first.connectivity)) < len(first.connectivity) or len(first.types) < 2):
+    is_shared = len(np.unique(first.connectivity)) < len(first.connectivity) or len(first.types) < 2
+    if in_place and is_shared and not _may_be_swapped(grid, first):
         return grid
     # cells with points of their own may change places in equal connectivity; ids may only count them
     found = None if in_place else match_by_ids(grid, ids)
@@ -100,6 +102,21 @@ def _rearrange(grid: Grid, first: Grid, ids: IdTable) -> Grid | None:
     points = {name: found.select_nodes(np.asarray(values)) for name, values in grid.point_data.items()}
     stored = found.select_nodes(grid.points)
     return Grid(stored, first.count, first.types, first.offsets, first.connectivity, points, {}, {}, first.faces)
+
+
+def _may_be_swapped(grid: Grid, first: Grid) -> bool:
+    """Return whether parts of a body may have changed places: the points move, and no displacement moves alike.
+
+    Halves of a bar have equal cells; a rank that writes the other half does not move it there.
+    """
+    if len(first.parts) < 2 or grid.count != first.count or np.array_equal(grid.points, first.points):
+        return False
+    moved = grid.points - first.points
+    vectors = [vector for vector in find_vector_fields(grid).values() if vector.role in ("clear", "short")]
+    pairs = [(vector.read(grid), vector.read(first)) for vector in vectors]
+    told = [u - u0 for u, u0 in pairs if u is not None and u0 is not None]
+    near = _ALIKE * float(np.nanmax(np.abs(moved)))
+    return bool(told) and not any(np.nanmax(np.abs(moved - u), initial=0.0) <= near for u in told)
 
 
 def _list_positions(sample: Sample, choice: DisplacementChoice) -> list[Floats]:

@@ -107,7 +107,8 @@ class SeriesLayout:
         if same and self.trusted:
             return self.arrangement
         in_place = same and self.ids.are_in_place(grid)
-        if in_place and not (self.own_points and self._is_moved(grid)):
+        may_change = self.own_points or (self.choice.added and len(self.grid.parts) > 1)  # places in equal cells
+        if in_place and not (may_change and self._is_moved(grid)):
             return self._check_coincident(grid) if self.own_points and not self.ids.names else self.arrangement
         if not in_place and (matched := match_by_ids(grid, self.ids)) is not None:
             return matched

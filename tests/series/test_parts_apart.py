@@ -45,3 +45,21 @@ def test_parts_that_move_apart_only_between_the_frames_looked_at_have_no_numbers
     frame = series.read_frame(unseen)
     assert "touch at rest move apart by 0.3 m" in frame.fault and np.isnan(frame.x).all()
     assert measure(series.read_frame(100))["volume_ratio"] == pytest.approx(1.1)
+
+
+def test_parts_that_change_places_are_matched_at_rest(tmp_path):
+    """Halves of equal cells, and another partition: right is 2, 2.4, 3 and 3.6."""
+    rows = []
+    halves = [(CELLS[:6], CELLS[6:]), (CELLS[6:], CELLS[:6]), (CELLS[:3], CELLS[3:]), (CELLS[6:], CELLS[:6])]
+    for k, (groups, factor) in enumerate(zip(halves, (1.0, 1.2, 1.5, 1.8), strict=True)):
+        for part, cells in enumerate(groups):
+            used, local = split(cells)
+            u = (stretch(POINTS, factor) - POINTS)[used]
+            write_vtu(tmp_path / f"f_{k}_{part}.vtu", POINTS[used], [(10, local)], {"u": u})
+            rows.append({"timestep": float(k), "part": part, "file": f"f_{k}_{part}.vtu"})
+    write_pvd(tmp_path / "s.pvd", rows)
+    series = read_series(tmp_path / "s.pvd")
+    measured = [measure(frame) for frame in series]
+    assert [float(values["total_volume"]) for values in measured] == pytest.approx([2.0, 2.4, 3.0, 3.6])
+    for values, factor in zip(measured, (1.0, 1.2, 1.5, 1.8), strict=True):
+        assert values["volume_ratio"] == pytest.approx(factor)
