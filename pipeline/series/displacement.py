@@ -222,7 +222,7 @@ def _drop_copies(motions: list[FieldMotion]) -> list[FieldMotion]:
 
 def _ask(evidence: Evidence, candidates: list[FieldMotion], where: str) -> str:
     """Return the question, with the choices and the reasons against taking one of them."""
-    names = sorted({*evidence.elsewhere, *(m.vector.name for m in candidates)})
+    names = join_names(sorted(m.vector.name for m in candidates))
     reasons = []
     if evidence.flow:
         reasons.append(f"beside {join_names(evidence.flow)}, a vector may be a velocity")

@@ -170,7 +170,7 @@ def make_questions():
     u = [stretch(X, s) - X for s in STRETCHES]
     p = X[:, 0].copy()
     yield "two displacements", [(X, {"disp_a": a, "disp_b": 2 * a}) for a in u], ("disp_a", "disp_b")
-    yield "D and U", [(X, {"D": a, "U": 5 * a}) for a in u], ("D", "U")
+    yield "D and U", [(X, {"D": a, "U": 5 * a}) for a in u], ("any of D, U: say",)
     yield "u and d", [(X, {"u": a, "d": 5 * a}) for a in u], ("u", "d")
     yield "flow from rest", [(X, {"U": a, "p": p}) for a in u], ("U",)
     yield "flow of FEniCS", [(X, {"u": a, "p": p}) for a in u], ("u",)
