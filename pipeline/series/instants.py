@@ -21,6 +21,7 @@ from pipeline.series.frame_files import find_fault, read_grid, read_times
 from pipeline.series.frame_times import spread_times
 from pipeline.series.numbered import find_numbered_parts
 
+_ROUNDING = 1e-5  # of the time between two instants: parts may write their times with seven digits
 _MOST_READ = 8  # files of one time that are compared
 
 
@@ -49,10 +50,13 @@ class Instants(NamedTuple):
 def arrange_instants(entries: Sequence[IndexEntry], where: str) -> Instants:
     """Return the instants of entries; raises SeriesError if the evidence does not decide."""
     times = [entry.time for entry in entries]
-    _check_declared(entries, where)
-    if all(a < b for a, b in pairwise(times)):  # the usual case
-        return Instants([Member(entry.time, entry.file, entry.step) for entry in entries], [], [])
-    parts, notes = _find_parts(entries, where)
+    aligned, parts, notes = _align_times(entries, where)
+    if not parts:
+        _check_declared(entries, where)
+        if all(a < b for a, b in pairwise(times)):  # the usual case
+            return Instants([Member(entry.time, entry.file, entry.step) for entry in entries], [], [])
+        parts, notes = _find_parts(entries, where)
+    entries = aligned
     kept, restart_notes = _drop_replaced(entries, parts, where)
     instants, repeat_notes = _drop_repeated(entries, _group_instants(entries, parts, kept, where))
     instants, faults = _drop_incomplete(entries, parts, instants)
@@ -70,6 +74,26 @@ def arrange_instants(entries: Sequence[IndexEntry], where: str) -> Instants:
         for time, own in zip(new_times, in_order, strict=True)
     ]
     return Instants(members, [*notes, *restart_notes, *repeat_notes, *time_notes], faults)
+
+
+def _align_times(entries: Sequence[IndexEntry], where: str) -> tuple[Sequence[IndexEntry], _Parts, list[str]]:
+    """Return entries with one time for all parts of an instant if their times differ by rounding, the parts and notes.
+
+    The times lie in groups of equal size, each far shorter than the time to the next. No parts: the times are right.
+    """
+    times = sorted(entry.time for entry in entries)
+    gaps = [b - a for a, b in pairwise(times)]
+    widest = max(gaps, default=0.0)
+    firsts = [0, *(i + 1 for i, gap in enumerate(gaps) if gap > _ROUNDING * widest)]
+    size = len(times) // len(firsts) if firsts else 0
+    if size < 2 or len(firsts) < 2 or min(gaps) == 0 or firsts != list(range(0, len(times), size)):
+        return entries, [], []
+    group = {time: times[i - i % size] for i, time in enumerate(times)}
+    aligned = [entry._replace(time=group[entry.time]) for entry in entries]
+    parts, notes = _find_parts(aligned, where)
+    if len(set(parts)) < 2:
+        return entries, [], []
+    return aligned, parts, [*notes, "the times of the parts differ by rounding; the first of each group is taken"]
 
 
 def _check_declared(entries: Sequence[IndexEntry], where: str) -> None:

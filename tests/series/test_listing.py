@@ -515,13 +515,34 @@ def test_parts_in_an_index(tmp_path, attributes, pattern, outer):
 
 
 def test_parts_that_never_share_a_time_are_asked_about(tmp_path):
-    """Times of the ranks that differ by rounding; a part that counts the frames is none."""
+    """A part that counts the frames is none."""
     write_halves(tmp_path, "f_{t}_{r}.vtu", (1.0, 1.2, 1.5))
-    rows = [{"timestep": k + 1e-7 * r, "part": r, "file": f"f_{k}_{r}.vtu"} for k in range(3) for r in range(2)]
+    rows = [{"timestep": k + 0.01 * r, "part": r, "file": f"f_{k}_{r}.vtu"} for k in range(3) for r in range(2)]
     write_pvd(tmp_path / "s.pvd", rows)
     assert_asked(tmp_path / "s.pvd", "2 parts", "never two at one time")
     write_pvd(tmp_path / "s.pvd", [{"timestep": k, "part": k, "file": f"f_{k}_0.vtu"} for k in range(3)])
     assert list_ratios(tmp_path / "s.pvd") == pytest.approx([1.0, 1.2, 1.5])
+
+
+@pytest.mark.parametrize("part", [lambda r: {"part": r}, lambda _: {}])
+def test_times_of_parts_that_differ_by_rounding(tmp_path, part):
+    """The clocks of two ranks: without a decision, halves of a body would be frames of one."""
+    write_halves(tmp_path, "f_{t}_{r}.vtu", (1.0, 1.2, 1.5))
+    rows = [{"timestep": k + 1e-7 * r, **part(r), "file": f"f_{k}_{r}.vtu"} for k in range(3) for r in range(2)]
+    write_pvd(tmp_path / "s.pvd", rows)
+    series = read_series(tmp_path / "s.pvd")
+    assert series.times == (0.0, 1.0, 2.0) and len(series.mesh.rest_volumes) == 12
+    assert any("differ by rounding" in note for note in series.notes)
+
+
+def test_frames_in_pairs_keep_their_times(tmp_path):
+    """A frame before and one after each impact."""
+    write_frames(tmp_path, [f"f_{k}.vtu" for k in range(6)], [1 + 0.1 * k for k in range(6)])
+    times = [0.0, 1e-7, 1.0, 1.0 + 1e-7, 2.0, 2.0 + 1e-7]
+    path = write_index(tmp_path, [(t, f"f_{k}.vtu") for k, t in enumerate(times)])
+    assert read_series(path).times == tuple(times) and list_ratios(path) == pytest.approx(
+        [1 + 0.1 * k for k in range(6)]
+    )
 
 
 RUNS = [(0, 1.0), (1, 1.1), (2, 9.0), (1, 1.15), (2, 1.25), (3, 1.35)]  # times and stretches of a run and its restart
