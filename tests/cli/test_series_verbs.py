@@ -49,7 +49,8 @@ def test_two_lines_say_what_was_decided_and_what_was_left_out(capsys):
     first, second, worst, *files = output.out.splitlines()
     assert first == "points: rest points + displacement; rest state: the points, without the displacement"
     assert second.startswith("cells: 12 tetrahedra in 3D")
-    assert second.endswith("times: 3 frames from 0 to 0.2 s")
+    assert "; left out: 1 cell of lower dimension (no volume); times: 3 " in second
+    assert second.endswith("from 0 to 0.2 s")
     assert worst == "rests: 3 frames; worst volume ratio 1.5000 (cell 0, t = 0.2 s)"
     assert files == ["  outputs/analysis/rests/statistics.nc", "  outputs/analysis/rests/volume.png"]
     assert "note: " in output.err
