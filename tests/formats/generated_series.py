@@ -209,7 +209,7 @@ def write_index(random: np.random.Generator, path: Path) -> Steps:
     count = int(random.integers(1, 6))
     times = np.sort(random.choice(1000, size=count, replace=False) / 64).tolist()
     folder = str(random.choice(["", "vtu/", "./", "vtu\\"]))
-    rows, contents = [], []
+    rows, contents, extra = [], [], int(random.integers(3))
     for k, time in enumerate(times):
         content = make_tetrahedra(random)
         contents.append(content)
@@ -221,7 +221,7 @@ def write_index(random: np.random.Generator, path: Path) -> Steps:
             random.choice([repr(time), f"{time:.10e}", f"{time:.10E}".replace("E", "D"), repr(time).replace(".", ",")])
         )
         attributes = [("timestep", text), ("file", name)]
-        attributes += [("group", ""), ("part", "0")][: int(random.integers(3))]
+        attributes += [("group", ""), ("part", "0")][:extra]
         attributes = [attributes[i] for i in random.permutation(len(attributes))]
         rows.append("<DataSet " + " ".join(f'{key}="{value}"' for key, value in attributes) + "/>")
     shuffled = [rows[i] for i in random.permutation(count)]
