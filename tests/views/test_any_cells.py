@@ -18,6 +18,7 @@ from pipeline.results.analysis_folder import analyze
 from pipeline.series import read_series
 from pipeline.sinks.vtu import VtuSink
 from pipeline.views.camera import fit_camera
+from pipeline.views.html.curves import find_worst_frame
 from pipeline.views.html.page import PageContent, Side, write_page
 from pipeline.views.html.solids import pack_solids
 from pipeline.views.html.worst import find_worst_cells
@@ -265,6 +266,12 @@ def test_the_page_opens_in_a_browser_and_says_from_when_on_there_are_no_data(tmp
     assert heard == [] and keys == ["no data"]
     assert captions[0].startswith("end") and captions[0].endswith(", no cell data from t = 0.200 s")
     assert captions[1:] == ["curved tetrahedra", "polyhedra", "shell"]
+
+
+def test_the_worst_frame_may_lack_some_cells(tmp_path):
+    for name, frame in (("end", 1), ("nodes", 3)):
+        write_statistics(make_gaps()[name], tmp_path / f"{name}.nc")
+        assert find_worst_frame(read_dataset(tmp_path / f"{name}.nc")) == frame
 
 
 def test_worst_cells_have_their_extremes(tmp_path):

@@ -24,6 +24,10 @@ def choose_times(statistics: "xarray.Dataset") -> list[int]:
 def find_worst_frame(statistics: "xarray.Dataset") -> int:
     """Return the frame of the largest |V / V0 - 1| of any cell; 0 if none is finite."""
     change = np.abs(statistics["volume_ratio_quantile"].values[:, [0, -1]] - 1).max(axis=1)
+    for frame in np.flatnonzero(np.isnan(change)):  # quantiles are NaN if one cell is
+        ratio = statistics["volume_ratio"].isel(time=int(frame)).values
+        known = ratio[np.isfinite(ratio)]
+        change[frame] = np.abs(known - 1).max() if known.size else np.nan
     return int(np.nan_to_num(change, nan=-1.0).argmax())
 
 
