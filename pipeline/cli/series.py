@@ -21,7 +21,7 @@ def add_verbs(verbs: Any, shared: SharedOptions) -> None:
     """Add the verbs `analyze` and `compare`."""
     foreign = argparse.ArgumentParser(add_help=False)
     foreign.add_argument(
-        "--displacement", metavar="FIELD", help='point field to add to the rest points; "none" if the points move'
+        "--displacement", metavar="FIELD", help='displacement: a point field, or X,Y,Z; "none": points move'
     )
     foreign.add_argument(
         "--rest", metavar="STATE", help="rest state: first (frame), points, rest_position (a point field) or a file"

@@ -41,8 +41,9 @@ def choose_cells(grid: Grid, where: str) -> CellChoice:
     ghosts = find_ghosts(grid)
     dimensions, reasons = np.zeros(len(types), dtype=np.int64), dict[tuple[int, int], str]()
     refused = np.zeros(len(types), dtype=bool)
-    for number, size in np.unique(np.column_stack([types, sizes]), axis=0).tolist():
-        mask = (types == number) & (sizes == size)
+    keys = types << 40 | sizes  # one number for both: rows take ten times as long to sort
+    for key in np.unique(keys).tolist():
+        number, size, mask = key >> 40, key & ((1 << 40) - 1), keys == key
         dimensions[mask] = TYPES[number].dimension if number in TYPES else 0
         if reason := explain_refusal(number, size):
             refused |= mask

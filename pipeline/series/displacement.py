@@ -94,7 +94,8 @@ def _is_contained(evidence: Evidence, motion: FieldMotion) -> bool:
     """Return whether the points move as the field says."""
     if motion.is_position or motion.varies <= evidence.rounding or evidence.moves <= evidence.rounding:
         return False
-    return motion.differs <= max(2 * evidence.rounding, MATCH * motion.varies) and evidence.moves >= motion.varies / 2
+    allowed = max(2 * evidence.rounding, MATCH * min(motion.varies, evidence.size))  # a body may travel far
+    return motion.differs <= allowed and evidence.moves >= motion.varies / 2
 
 
 def _note_contained(evidence: Evidence, contained: list[FieldMotion], where: str) -> DisplacementChoice:
