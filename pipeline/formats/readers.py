@@ -16,7 +16,7 @@ from pipeline.formats.med import read_med, read_med_times
 from pipeline.formats.multiblock import find_first_piece, read_own_times, read_pieces
 from pipeline.formats.vtk_readers import LEGACY, VTKHDF, XML_READERS, VtkReader, read_legacy_times
 from pipeline.formats.vtk_solvers import CGNS, DYNA, ENSIGHT, EXODUS, OPENFOAM
-from pipeline.formats.xdmf import read_xdmf, read_xdmf_times
+from pipeline.formats.xdmf.reader import read_xdmf, read_xdmf_times
 
 
 class FrameReader(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, join_names, shorten
-from pipeline.formats.plain_mesh import SIMPLEX_DIMENSIONS, SIMPLEX_NAMES, CellBlock, PlainMesh
+from pipeline.formats.meshes.plain_mesh import SIMPLEX_DIMENSIONS, SIMPLEX_NAMES, CellBlock, PlainMesh
 from pipeline.formats.preflight import find_refusal
 from pipeline.formats.sandbox import SHARED_READER
 from pipeline.mesh.cleanup import (
@@ -59,7 +59,7 @@ def _read_plain(path: Path) -> PlainMesh:
         raise MeshError(f"{path}: the file is empty")
     if reason := find_refusal(path):
         raise MeshError(f"{path}: {reason}")
-    return PlainMesh(*SHARED_READER.read("pipeline.formats.mesh_readers:read_plain_mesh", path, error=MeshError))
+    return PlainMesh(*SHARED_READER.read("pipeline.formats.meshes.mesh_readers:read_plain_mesh", path, error=MeshError))
 
 
 def _note_regions(regions: Sequence[str]) -> list[str]:

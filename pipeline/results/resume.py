@@ -18,8 +18,8 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.problem.problem import Problem
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.run.measures import VARIABLES, measure
-from pipeline.series.instants import Member
-from pipeline.series.listing import FrameListing
+from pipeline.series.files.instants import Member
+from pipeline.series.files.listing import FrameListing
 from pipeline.series.series import make_series
 from pipeline.sinks.frame_formats import FORMATS
 from pipeline.sinks.netcdf import NetcdfSink

@@ -17,10 +17,16 @@ from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.locate import locate_points
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.run.measures import measure_cells
-from pipeline.series.dataset_layout import describe_field
-from pipeline.series.dataset_writer import write_pvd_series
-from pipeline.series.mesh_variables import MESH_VARIABLES, NODE_COORDINATES, describe_mesh, read_mesh, select_cells
-from pipeline.series.pyvista_grid import make_pyvista_grid
+from pipeline.series.dataset.attributes import describe_field
+from pipeline.series.dataset.mesh_variables import (
+    MESH_VARIABLES,
+    NODE_COORDINATES,
+    describe_mesh,
+    read_mesh,
+    select_cells,
+)
+from pipeline.series.dataset.pyvista_grid import make_pyvista_grid
+from pipeline.series.dataset.writer import write_pvd_series
 
 if TYPE_CHECKING:
     import xarray

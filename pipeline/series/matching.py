@@ -10,7 +10,7 @@ from pipeline.formats.grid import CellArray
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.cell_mesh import CellMesh
 from pipeline.mesh.simplex import Mesh
-from pipeline.series.arrangement import Arrangement, match_by_positions
+from pipeline.series.body.arrangement import Arrangement, match_by_positions
 from pipeline.series.series import Series
 
 _APART = 1e-6  # of the body's size, as in arrangement.py

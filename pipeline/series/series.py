@@ -14,13 +14,13 @@ from pipeline.formats.grid import Grid
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.run.frame import Frame
 from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
-from pipeline.series.dataset_layout import is_exported
-from pipeline.series.decisions import Decisions
-from pipeline.series.frame_files import read_grid
-from pipeline.series.inference import infer_layout
-from pipeline.series.instants import Member
-from pipeline.series.layout import Options, SeriesLayout
-from pipeline.series.listing import FrameListing, list_frames
+from pipeline.series.body.decisions import Decisions
+from pipeline.series.body.inference import infer_layout
+from pipeline.series.body.layout import Options, SeriesLayout
+from pipeline.series.dataset.attributes import is_exported
+from pipeline.series.files.frame_files import read_grid
+from pipeline.series.files.instants import Member
+from pipeline.series.files.listing import FrameListing, list_frames
 
 _LENGTHS = {(): 1, ("axis",): len(AXES), ("quantile",): len(QUANTILES)}
 

@@ -24,10 +24,10 @@ from pipeline.formats.pvd import INDEX_SUFFIXES
 from pipeline.formats.readers import SUFFIXES, TEMPORAL_SUFFIXES
 from pipeline.run.measures import AXES, QUANTILES, make_attributes
 from pipeline.series.accessor import DeformationAccessor
-from pipeline.series.dataset_layout import ATTRIBUTES
-from pipeline.series.field_columns import list_columns
-from pipeline.series.frame_store import FieldColumn, FrameStore
-from pipeline.series.mesh_variables import RESERVED, describe_mesh
+from pipeline.series.dataset.attributes import ATTRIBUTES
+from pipeline.series.dataset.field_columns import list_columns
+from pipeline.series.dataset.frame_store import FieldColumn, FrameStore
+from pipeline.series.dataset.mesh_variables import RESERVED, describe_mesh
 from pipeline.series.series import Series, open_series
 
 _SUFFIXES = (*INDEX_SUFFIXES, *TEMPORAL_SUFFIXES, *SUFFIXES)

@@ -14,7 +14,7 @@ from pipeline.mesh.skin import find_skin
 from pipeline.run.frame import Frame
 from pipeline.run.measures import measure_cells
 from pipeline.series import Series
-from pipeline.series.cell_sides import join_coincident
+from pipeline.series.body.cell_sides import join_coincident
 from pipeline.system.times import TIME_RTOL
 
 # half-widths of a color range that give readable ticks; with the last, 1, the range begins at V = 0

@@ -15,8 +15,8 @@ import pytest
 from pipeline.errors import SeriesError
 from pipeline.formats.sandbox import SHARED_READER
 from pipeline.formats.vtu_read import read_inline
-from pipeline.series.frame_files import read_grid, read_times
-from pipeline.series.listing import list_frames
+from pipeline.series.files.frame_files import read_grid, read_times
+from pipeline.series.files.listing import list_frames
 from tests.formats import generated_series as S
 from tests.formats import generated_vtk as V
 from tests.formats.generated_content import Content, find_difference

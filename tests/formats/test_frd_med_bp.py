@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.errors import SeriesError
 from pipeline.mesh.cell_mesh import CellMesh
-from pipeline.series.frame_files import read_grid, read_times
+from pipeline.series.files.frame_files import read_grid, read_times
 
 PROGRAMS = Path(__file__).parents[1] / "programs"
 FRD = PROGRAMS / "calculix"

@@ -10,7 +10,7 @@ from vtk.util.numpy_support import numpy_to_vtk
 from pipeline.formats.grid import CellArray
 from pipeline.mesh.cell_mesh import measure_volumes
 from pipeline.mesh.shape_functions import find_kind
-from pipeline.series.frame_files import read_grid
+from pipeline.series.files.frame_files import read_grid
 
 OLD_TO_NEW = [*range(18), 19, 18, *range(20, 27)]
 

@@ -6,8 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.errors import MeshError
-from pipeline.formats.mesh_readers import read_plain_mesh
-from pipeline.formats.plain_mesh import PlainMesh
+from pipeline.formats.meshes.mesh_readers import read_plain_mesh
+from pipeline.formats.meshes.plain_mesh import PlainMesh
 from pipeline.mesh.files import read_mesh
 
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])

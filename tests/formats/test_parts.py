@@ -15,7 +15,7 @@ from pipeline.formats.parts import BodyPart, join_parts
 from pipeline.formats.vtu_steps import cut_out_step, find_step_times
 from pipeline.run.measures import measure
 from pipeline.series import read_series
-from pipeline.series.frame_files import find_fault, read_grid, read_times
+from pipeline.series.files.frame_files import find_fault, read_grid, read_times
 from tests.foreign.displacements import CELLS, LONG_CELLS, LONG_POINTS, POINTS
 from tests.foreign.partitions import write_pvtu
 from tests.foreign.writers import split, stretch, write_pvd, write_vtu

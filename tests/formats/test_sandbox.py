@@ -278,7 +278,7 @@ def test_a_file_that_kills_its_reader_is_one_line(tmp_path, capfd, monkeypatch):
             return genuine(self, "bad:die", file, 11, error=error)
         return genuine(self, function, file, *arguments, error=error)
 
-    monkeypatch.setattr("pipeline.series.frame_files.SHARED_READER", own)
+    monkeypatch.setattr("pipeline.series.files.frame_files.SHARED_READER", own)
     monkeypatch.setattr(Reader, "read", segfaulting)
     assert main(["analyze", str(tmp_path / "f0.vtu"), "--out", str(tmp_path / "out")]) == 2
     out, err = capfd.readouterr()

@@ -9,7 +9,7 @@ from pipeline.errors import SeriesError
 from pipeline.mesh.shapes import box
 from pipeline.run.measures import measure
 from pipeline.series import read_series
-from pipeline.series.frame_files import read_grid, read_times
+from pipeline.series.files.frame_files import read_grid, read_times
 from tests.formats.solver_files import write_cgns, write_d3plot, write_ensight, write_exodus, write_openfoam
 
 MESH = box((2.0, 1.0, 1.0), (2, 1, 1))

@@ -15,8 +15,8 @@ from pipeline.formats import readers, vtu_read
 from pipeline.formats.vtu_read import read_inline
 from pipeline.series import read_series
 from pipeline.series import xarray_plugin as engine
-from pipeline.series.dataset_writer import write_pvd_series
-from pipeline.series.frame_files import read_grid
+from pipeline.series.dataset.writer import write_pvd_series
+from pipeline.series.files.frame_files import read_grid
 from tests.series.test_series import (
     CELLS,
     POINTS,

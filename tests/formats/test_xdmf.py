@@ -13,7 +13,7 @@ from pipeline.errors import SeriesError
 from pipeline.formats.cell_types import CORNERS
 from pipeline.formats.readers import read_grid, read_times
 from pipeline.mesh.shapes import box
-from pipeline.series import frame_files
+from pipeline.series.files import frame_files
 
 MESH = box((2.0, 1.0, 1.0), (2, 1, 1))
 X, CELLS = MESH.points, MESH.cells

@@ -15,9 +15,9 @@ from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.measures import AXES, measure, pad_to_space
 from pipeline.series import read_series
-from pipeline.series.arrangement import have_same_cells
-from pipeline.series.mesh_variables import describe_mesh, read_mesh
-from pipeline.series.pyvista_grid import build_grid
+from pipeline.series.body.arrangement import have_same_cells
+from pipeline.series.dataset.mesh_variables import describe_mesh, read_mesh
+from pipeline.series.dataset.pyvista_grid import build_grid
 from pipeline.series.xarray_plugin import SeriesBackend
 from tests.mesh.test_locate import draw_natural, list_kinds, make_prism, place_nodes
 

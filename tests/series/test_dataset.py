@@ -15,7 +15,7 @@ import xarray
 from pipeline.errors import SeriesError
 from pipeline.series import read_series
 from pipeline.series import xarray_plugin as engine
-from pipeline.series.dataset_layout import ATTRIBUTES
+from pipeline.series.dataset.attributes import ATTRIBUTES
 from tests.foreign.writers import bar, index, stretch, write_vtu
 
 POINTS, CELLS = bar()

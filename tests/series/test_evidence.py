@@ -304,7 +304,8 @@ def test_a_field_that_changes_only_in_frames_not_looked_at_is_asked_about(tmp_pa
 
 
 def test_a_long_series_is_opened_by_some_of_its_frames(tmp_path, monkeypatch):
-    from pipeline.series import frame_files, series
+    from pipeline.series import series
+    from pipeline.series.files import frame_files
 
     factors = np.linspace(1, 2, 200)
     path = write(tmp_path, [(X, {"displacement": stretch(X, s) - X}) for s in factors])

@@ -16,9 +16,9 @@ from pipeline.formats.pvd import read_index
 from pipeline.formats.times import find_resolution, find_time_field, parse_time
 from pipeline.run.measures import measure
 from pipeline.series import read_series
-from pipeline.series.file_names import read_decimals
-from pipeline.series.frame_files import read_grid, read_times
-from pipeline.series.listing import list_frames
+from pipeline.series.files.file_names import read_decimals
+from pipeline.series.files.frame_files import read_grid, read_times
+from pipeline.series.files.listing import list_frames
 from tests.foreign.displacements import CELLS, POINTS, TETRAHEDRA
 from tests.foreign.writers import bar, index, split, stretch, write_pvd, write_vtu
 

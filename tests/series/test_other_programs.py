@@ -23,7 +23,7 @@ from pipeline.results.analysis_folder import analyze
 from pipeline.run.measures import measure
 from pipeline.series import Series, read_series
 from pipeline.series import xarray_plugin as engine
-from pipeline.series.frame_files import read_grid
+from pipeline.series.files.frame_files import read_grid
 from tests.bodies import skip_figures
 from tests.series.test_series import CELLS, POINTS, TIMES, make_grid, move_points, write_pvd, write_series
 

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.run.measures import measure
 from pipeline.series import read_series
-from pipeline.series.motion_evidence import choose_sample
+from pipeline.series.body.motion_evidence import choose_sample
 from tests.foreign.writers import bar, split, stretch, write_pvd, write_vtu
 
 POINTS, CELLS = bar()

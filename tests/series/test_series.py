@@ -19,8 +19,8 @@ from pipeline.mesh.simplex import Mesh
 from pipeline.run.measures import measure
 from pipeline.series import read_series
 from pipeline.series import xarray_plugin as engine
-from pipeline.series.dataset_writer import write_pvd_series
-from pipeline.series.frame_files import read_grid
+from pipeline.series.dataset.writer import write_pvd_series
+from pipeline.series.files.frame_files import read_grid
 from tests.bodies import assert_conventional
 
 TIMES = [0.0, 0.1, 0.25]
