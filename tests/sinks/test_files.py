@@ -220,7 +220,7 @@ def test_a_foreign_series_has_the_kinematic_part_under_the_same_names(run, tmp_p
         ("none.pvd", None, "no series there"),
         ("bad.pvd", "<VTKFile", "not a ParaView index"),
         ("empty.pvd", '<VTKFile type="Collection"><Collection/></VTKFile>', "lists no frame"),
-        ("key.pvd", "<VTKFile><Collection><DataSet file='a'/></Collection></VTKFile>", "not a ParaView index"),
+        ("key.pvd", "<VTKFile><Collection><DataSet file='a'/></Collection></VTKFile>", "at t = 0 s is missing"),
     ],
 )
 def test_a_path_that_is_no_series_is_refused_by_name(tmp_path, name, text, words):

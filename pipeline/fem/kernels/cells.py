@@ -12,6 +12,8 @@ from numba import njit
 
 from pipeline.fem.kernels.rotation import LANES, allocate_lanes, find_polar_rotations
 
+MOST_NODES = 125  # of a cell: hexahedra of order 4
+
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _gather(x, connectivity, first, count, X):
@@ -101,7 +103,7 @@ def measure_solids(
 ):
     """Write the measures of solid cells into places `cells` of the outputs; x (n, 3), the rest as in RestBlock."""
     F, R, _, dets, root, good, C = allocate_lanes()
-    X, J = np.zeros((connectivity.shape[1], 3, LANES)), np.zeros((3, 3, LANES))
+    X, J = np.zeros((MOST_NODES, 3, LANES))[: connectivity.shape[1]], np.zeros((3, 3, LANES))
     total, low, high = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     for first in range(0, len(cells), LANES):
         count = min(LANES, len(cells) - first)
@@ -126,7 +128,7 @@ def measure_planar(
 ):
     """Write the measures of planar cells into places `cells` of the outputs; x (n, 2), the rest as in RestBlock."""
     k, dets = connectivity.shape[1], np.zeros(LANES)
-    X, J = np.zeros((k, 2, LANES)), np.zeros((2, 2, LANES))
+    X, J = np.zeros((MOST_NODES, 2, LANES))[:k], np.zeros((2, 2, LANES))
     total, low, high = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     for first in range(0, len(cells), LANES):
         count = min(LANES, len(cells) - first)
@@ -156,7 +158,8 @@ def measure_surfaces(
     The mean of F is that of the tangents plus the weighted mean of n (x) N.
     """
     F, R, normal, dets, root, good, C = allocate_lanes()
-    X, J, P = np.zeros((connectivity.shape[1], 3, LANES)), np.zeros((3, 2, LANES)), np.zeros((9, LANES))
+    X, J = np.zeros((MOST_NODES, 3, LANES))[: connectivity.shape[1]], np.zeros((3, 2, LANES))
+    P = np.zeros((9, LANES))
     total, low, high = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     for first in range(0, len(cells), LANES):
         count = min(LANES, len(cells) - first)
