@@ -436,14 +436,15 @@ def test_vtk_takes_curved_cells_for_straight_pieces() -> None:
 def test_nothing_but_the_outputs_is_allocated_per_frame() -> None:
     import tracemalloc
 
-    points, cells = make_hexahedra(16)
+    points, cells = make_hexahedra(24)
     mesh = CellMesh(points, make_array(12, cells), 3)
     measure_any_cells(mesh, points)
     tracemalloc.start()
     outputs = measure_any_cells(mesh, points)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 4 * outputs[0].nbytes + 100_000
+    # the lanes of a kernel have room for the largest kind (96 kB), whatever the mesh; another output has 111 kB
+    assert peak < 4 * outputs[0].nbytes + 150_000
 
 
 def test_meshes_of_simplices_are_still_theirs() -> None:
