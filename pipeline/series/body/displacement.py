@@ -114,7 +114,7 @@ def _note_contained(evidence: Evidence, contained: list[FieldMotion], where: str
     name, late = best.vector.name, best.first is None
     rest = "" if best.at_start <= evidence.rounding else "; the first frame is deformed already"
     note = (
-        f"the points move as the field {shorten(name)} says (up to {best.differs:.1g} m): it is not added to them{rest}"
+        f"the points move as the field {shorten(name)} says, within {best.differs:.1g} m: it is not added to them{rest}"
     )
     return DisplacementChoice(
         best.vector, added=False, notes=(note,), late=late, text=f"deformed points, which contain {name}"
