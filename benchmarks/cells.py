@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
+from pipeline.formats.cell_kinds import POLYGON, POLYHEDRON, ROWS
 from pipeline.formats.grid import CellArray, PolyhedronFaces
-from pipeline.mesh.cell_kinds import POLYGON, POLYHEDRON, ROWS
 from pipeline.mesh.cell_mesh import CellMesh, measure_volumes
 from pipeline.mesh.quadrature import find_quadrature, find_samples
 from pipeline.mesh.shape_functions import CellKind, find_kind, make_kind

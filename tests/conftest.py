@@ -149,3 +149,19 @@ def _need_browser() -> None:
             "PIPELINE_SKIP_BROWSER=1 skips these tests with a message",
             pytrace=False,
         )
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> Iterator[Callable[..., Path]]:
+    """A function that returns the folder of a maker, which runs once."""
+    made: dict[Callable[[Path], None], Path] = {}
+
+    def find(make: Callable[[Path], None]) -> Path:
+        if make not in made:
+            made[make] = tmp_path_factory.mktemp(make.__name__)
+            make(made[make])
+        return made[make]
+
+    yield find
+    for folder in made.values():
+        shutil.rmtree(folder)

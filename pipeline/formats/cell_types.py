@@ -8,38 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.formats.cell_kinds import ROWS
+
 TRIANGLE, TETRAHEDRON = 5, 10
 CELL_TYPES = {2: TRIANGLE, 3: TETRAHEDRON}  # the simplex of each dimension
-# types with a fixed number of nodes
-CORNERS = {
+_LAGRANGE = 68  # from here on VTK decides, which reads the order of nodes by the version of the file
+# types with a fixed number of nodes: those of cell_kinds.py, and cells without shape functions
+CORNERS = {row.number: next(iter(row.kinds)) for row in ROWS if len(row.kinds) == 1 and row.number < _LAGRANGE} | {
     1: 1,  # vertex
     3: 2,  # line
-    8: 4,  # pixel
-    11: 8,  # voxel
     15: 10,  # pentagonal prism
     16: 12,  # hexagonal prism
-    TRIANGLE: 3,
-    9: 4,  # quadrilateral
-    TETRAHEDRON: 4,
-    12: 8,  # hexahedron
-    13: 6,  # wedge
-    14: 5,  # pyramid
     21: 3,  # quadratic edge
-    22: 6,  # quadratic triangle
-    23: 8,  # quadratic quadrilateral
-    24: 10,  # quadratic tetrahedron
-    25: 20,  # quadratic hexahedron
-    26: 15,  # quadratic wedge
-    27: 13,  # quadratic pyramid
-    28: 9,  # biquadratic quadrilateral
-    29: 27,  # triquadratic hexahedron
-    30: 6,  # quadratic linear quadrilateral
-    31: 12,  # quadratic linear wedge
-    32: 18,  # biquadratic quadratic wedge
-    33: 24,  # biquadratic quadratic hexahedron
-    34: 7,  # biquadratic triangle
     35: 4,  # cubic line
-    37: 19,  # triquadratic pyramid
 }
 # types whose number of nodes varies, and the least that one may have
 LEAST_NODES = {

@@ -120,3 +120,21 @@ class Grid:
     def __repr__(self) -> str:
         names = ", ".join([*self.point_data, *self.cell_data, *self.field_data])
         return f"Grid({self.count} points, {len(self.types)} cells: {names})"
+
+
+def have_same_cells(a: Grid, b: Grid) -> bool:
+    """Return whether two grids have equal cells and the same number of points."""
+    if all(one is other for one, other in zip(a.cells, b.cells, strict=True)):  # equal text is decoded only once
+        return a.count == b.count
+    return a.count == b.count and _have_equal_arrays(a.cells, b.cells)
+
+
+def _have_equal_arrays(a: CellArray, b: CellArray) -> bool:
+    """Return whether two lists of cells are equal: polygons of other lengths, or other faces of polyhedra, are not."""
+    arrays: list[tuple[NDArray[Any], NDArray[Any]]] = [
+        (a.types, b.types), (a.offsets, b.offsets), (a.connectivity, b.connectivity)
+    ]  # fmt: skip
+    if (a.faces is None) != (b.faces is None):
+        return False
+    arrays += [] if a.faces is None or b.faces is None else [*zip(a.faces, b.faces, strict=True)]
+    return all(np.array_equal(one, other) for one, other in arrays)

@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.blocks import join_blocks
-from pipeline.formats.grid import Grid
+from pipeline.formats.cell_kinds import TYPES
+from pipeline.formats.grid import Grid, have_same_cells
 
-# VTK's cell types by dimension
-_SOLIDS = frozenset({*range(10, 17), 24, 25, 26, 27, 29, 31, 32, 33, 37, 41, 42, *range(71, 75), *range(78, 82)})
-_FACES = frozenset({*range(5, 10), 22, 23, 28, 30, 34, 36, 69, 70, 76, 77})
 _COUNTS: dict[str, Callable[[Grid], int]] = {
     "point_data": lambda grid: grid.count, "cell_data": lambda grid: len(grid.types)
 }  # fmt: skip
@@ -47,12 +45,6 @@ def join_parts(parts: Sequence[BodyPart], where: str) -> Grid:
     return replace(joined, field_data=whole, parts=sizes, part_names=names, notes=(*own_notes, *notes, *whole_notes))
 
 
-def have_equal_cells(a: Grid, b: Grid) -> bool:
-    """Return whether two grids have equally numbered cells and points."""
-    same = a.count == b.count and np.array_equal(a.types, b.types)
-    return same and np.array_equal(a.offsets, b.offsets) and np.array_equal(a.connectivity, b.connectivity)
-
-
 def _drop_boundaries(parts: Sequence[BodyPart]) -> tuple[list[BodyPart], list[str]]:
     """Return the parts that have cells of the highest dimension, and a note on the others."""
     dimensions = [_find_dimension(part.grid) for part in parts]
@@ -65,8 +57,7 @@ def _drop_boundaries(parts: Sequence[BodyPart]) -> tuple[list[BodyPart], list[st
 
 def _find_dimension(grid: Grid) -> int:
     """Return the highest dimension of the cells."""
-    kinds = set(np.unique(grid.types).tolist())
-    return 3 if kinds & _SOLIDS else 2 if kinds & _FACES else 1
+    return max((TYPES[kind].dimension for kind in np.unique(grid.types).tolist() if kind in TYPES), default=0)
 
 
 def _combine_equal_parts(parts: Sequence[BodyPart], where: str) -> tuple[list[BodyPart], list[str]]:
@@ -90,7 +81,7 @@ def _are_same(a: Grid, b: Grid) -> bool:
     """Return whether two parts have the same cells in the same place; marked copies are left to the layout."""
     if any(_is_mark(name) for grid in (a, b) for name in (*grid.cell_data, *grid.point_data)):
         return False
-    return have_equal_cells(a, b) and np.array_equal(a.points, b.points)
+    return have_same_cells(a, b) and np.array_equal(a.points, b.points)
 
 
 def _combine_fields(first: BodyPart, second: BodyPart, where: str) -> Grid:

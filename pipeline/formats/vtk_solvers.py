@@ -1,4 +1,4 @@
-"""What VTK's readers of solvers' files must be told, so that they return all numbers as they are in the file."""
+"""Settings of VTK's readers of solvers' files, so that they return all numbers as they are in the file."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ def _set_up_exodus(reader: Any, _file: Path) -> None:
     reader.ApplyDisplacementsOff()
     reader.GenerateGlobalElementIdArrayOn()
     reader.GenerateGlobalNodeIdArrayOn()
-    reader.GenerateImplicitNodeIdArrayOn()  # its blocks share points, which are not told by their position
+    reader.GenerateImplicitNodeIdArrayOn()  # its blocks share points, and positions do not identify them
     reader.GenerateObjectIdCellArrayOn()
     reader.UpdateInformation()
     for kind in (reader.ELEM_BLOCK, reader.NODAL, reader.GLOBAL):

@@ -7,8 +7,8 @@ import numpy as np
 
 from pipeline.arrays import Ints
 from pipeline.errors import MeshError
+from pipeline.formats.cell_kinds import POLYGON, TYPES, explain_refusal
 from pipeline.formats.grid import CellArray
-from pipeline.mesh.cell_kinds import POLYGON, TYPES, explain_refusal
 from pipeline.mesh.shape_functions import CellKind, find_kind, make_kind
 
 _TYPES = 256  # VTK's numbers of types are bytes

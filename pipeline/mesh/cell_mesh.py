@@ -7,10 +7,10 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.errors import MeshError
+from pipeline.formats.cell_kinds import TYPES
 from pipeline.formats.grid import CellArray
 from pipeline.mesh.blocks import KindBlock, check_types, split_blocks
 from pipeline.mesh.body_mesh import BodyMesh
-from pipeline.mesh.cell_kinds import TYPES
 from pipeline.mesh.faceted import FacetedCells, collect_faceted
 from pipeline.mesh.rest_cells import RestBlock, measure_block, prepare_block, share_among_nodes
 from pipeline.mesh.rest_facets import RestFacets, measure_facets, prepare_facets, share_among_corners
@@ -124,16 +124,20 @@ class CellMesh:
     @cached_property
     def centers(self) -> Floats:
         """Return the mean rest position of the points of every cell (e, d)."""
-        counts = np.diff(self.cell_array.offsets)
-        owner = np.repeat(np.arange(len(counts)), counts)
-        nodes = self.points[self.cell_array.connectivity]
-        sums = [np.bincount(owner, axis, minlength=len(counts)) for axis in nodes.T]
-        return np.column_stack(sums) / counts[:, None]
+        return find_centers(self.points, self.cell_array)
 
     @cached_property
     def size(self) -> float:
         """Return the diagonal of the bounding box [m]."""
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+
+def find_centers(points: Floats, cells: CellArray) -> Floats:
+    """Return the mean position (e, c) of the points of every cell."""
+    counts = np.diff(cells.offsets)
+    owner = np.repeat(np.arange(len(counts)), counts)
+    sums = [np.bincount(owner, axis, minlength=len(counts)) for axis in points[cells.connectivity].T]
+    return np.column_stack(sums) / np.maximum(counts, 1)[:, None]
 
 
 def measure_volumes(

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pipeline.formats.cell_kinds import TYPES
 from pipeline.mesh.body_mesh import BodyMesh
-from pipeline.mesh.cell_kinds import TYPES
 
 
 def describe_cells(meshes: Sequence[BodyMesh]) -> str:

@@ -11,8 +11,8 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
+from pipeline.formats.cell_kinds import HEXAGONAL_PRISM, PENTAGONAL_PRISM, POLYGON, POLYHEDRON
 from pipeline.formats.grid import CellArray
-from pipeline.mesh.cell_kinds import HEXAGONAL_PRISM, PENTAGONAL_PRISM, POLYGON, POLYHEDRON
 
 _PRISM_SIDES = {PENTAGONAL_PRISM: 5, HEXAGONAL_PRISM: 6}
 _Faces = tuple[list[Ints], list[Ints], list[Ints]]  # cell of each face, number of corners of each face, corners

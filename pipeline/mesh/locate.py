@@ -7,10 +7,10 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
+from pipeline.formats.cell_kinds import TYPES
 from pipeline.formats.grid import CellArray
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.candidates import iterate_candidates
-from pipeline.mesh.cell_kinds import TYPES
 from pipeline.mesh.fans import cut_fans
 from pipeline.mesh.natural_coordinates import invert_map
 from pipeline.mesh.shape_functions import find_kind

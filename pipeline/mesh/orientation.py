@@ -1,4 +1,4 @@
-"""Mirrored cells: those that only their numbering mirrors, told from those that are folded into their neighbors.
+"""Mirrored cells: those that only their numbering mirrors, and those that are folded into their neighbors.
 
 Two cells of a valid body lie on different sides of the face that they share, however their corners are numbered. Some
 programs number corners in increasing order (legacy FEniCS, scikit-fem), so that half of the signed volumes are

@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
-from pipeline.mesh.cell_kinds import TYPES, explain_refusal
+from pipeline.formats.cell_kinds import TYPES, explain_refusal
 from pipeline.mesh.node_order import place_in_cube, place_in_simplex, place_in_wedge
 
 _ROUNDING = 1e-12  # of coefficients, which are of the order of one

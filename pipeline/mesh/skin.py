@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from pipeline.arrays import Floats, Ints
+from pipeline.formats.cell_kinds import HEXAGONAL_PRISM, PENTAGONAL_PRISM, POLYGON, POLYHEDRON
 from pipeline.formats.grid import CellArray
 from pipeline.mesh.blocks import KindBlock, select_faceted, split_blocks
 from pipeline.mesh.body_mesh import BodyMesh
-from pipeline.mesh.cell_kinds import HEXAGONAL_PRISM, PENTAGONAL_PRISM, POLYGON, POLYHEDRON
 from pipeline.mesh.shape_functions import CellKind
 from pipeline.mesh.simplex import Mesh
 from pipeline.mesh.surface import find_boundary_faces

@@ -10,10 +10,8 @@ from pipeline.formats.grid import CellArray
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.cell_mesh import CellMesh
 from pipeline.mesh.simplex import Mesh
-from pipeline.series.body.arrangement import Arrangement, match_by_positions
+from pipeline.series.body.arrangement import APART, Arrangement, match_by_positions
 from pipeline.series.series import Series
-
-_APART = 1e-6  # of the body's size, as in arrangement.py
 
 
 def match_cells(first: Series, other: Series) -> Series | None:
@@ -31,7 +29,7 @@ def match_cells(first: Series, other: Series) -> Series | None:
         return None
     if _are_equal(mine.cell_array, theirs.cell_array) and _lie_together(mine, theirs):
         return other
-    match = match_by_positions(mine.points, mine.cell_array, theirs.points, theirs.cell_array, _APART * mine.size)
+    match = match_by_positions(mine.points, mine.cell_array, theirs.points, theirs.cell_array, APART * mine.size)
     if match is None or match.nodes is None or match.cells is None:
         return None
     layout = other.layout
@@ -49,7 +47,7 @@ def _are_equal(a: CellArray, b: CellArray) -> bool:
 
 
 def _lie_together(mine: BodyMesh, theirs: BodyMesh) -> bool:
-    return bool((np.abs(mine.points - theirs.points) <= _APART * mine.size).all())
+    return bool((np.abs(mine.points - theirs.points) <= APART * mine.size).all())
 
 
 def _select(indices: Ints | None, chosen: Ints) -> Ints:

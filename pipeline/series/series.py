@@ -79,7 +79,8 @@ class Series:
         if not len(self):
             return self.layout.decisions
         counted = ", counted: the files have none" if any("counted from 0" in note for note in self.notes) else ""
-        times = f"{len(self)} from {self.times[0]:g} to {self.times[-1]:g} s{counted}"
+        frames = "1 frame" if len(self) == 1 else f"{len(self)} frames"
+        times = f"{frames} from {self.times[0]:g} to {self.times[-1]:g} s{counted}"
         return replace(self.layout.decisions, times=times)
 
     def select_frames(self, indices: Sequence[int]) -> "Series":

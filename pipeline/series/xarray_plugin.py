@@ -163,7 +163,7 @@ def _decline_series(backend: type[BackendEntrypoint]) -> None:
             return False
         return guess(self, filename_or_obj)
 
-    backend.guess_can_open = guess_can_open  # type: ignore[method-assign]
+    backend.guess_can_open = guess_can_open  # type: ignore[method-assign]  # on purpose: see above
 
 
 def _is_hdf_series(path: Path) -> bool:
@@ -177,4 +177,4 @@ def _is_hdf_series(path: Path) -> bool:
 
 for _backend in (NetCDF4BackendEntrypoint, H5netcdfBackendEntrypoint):
     _decline_series(_backend)
-xarray.register_dataset_accessor("deformation")(DeformationAccessor)  # type: ignore[no-untyped-call]
+xarray.register_dataset_accessor("deformation")(DeformationAccessor)  # type: ignore[no-untyped-call]  # xarray has no types here

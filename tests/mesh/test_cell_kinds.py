@@ -11,9 +11,9 @@ import vtk
 from sympy.polys.rings import PolyElement, ring
 
 from pipeline.errors import MeshError
+from pipeline.formats.cell_kinds import ROWS, TYPES, explain_refusal
 from pipeline.formats.grid import CellArray
 from pipeline.mesh.blocks import check_types, find_simplices, mirror_cells, split_blocks
-from pipeline.mesh.cell_kinds import ROWS, TYPES, explain_refusal
 from pipeline.mesh.cell_mesh import measure_volumes
 from pipeline.mesh.quadrature import find_quadrature, find_samples
 from pipeline.mesh.shape_functions import CellKind, find_kind

@@ -1,7 +1,6 @@
 """Meshes of cases as other programs leave them: each is understood, or refused with its reason; nothing is dropped."""
 
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,22 +26,6 @@ class Situation(NamedTuple):
     make: Callable[[Path], None]
     path: str
     check: Check
-
-
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory) -> Iterator[Callable[..., Path]]:
-    """A function that returns the folder of a maker, which runs once."""
-    made: dict[Callable[[Path], None], Path] = {}
-
-    def find(make: Callable[[Path], None]) -> Path:
-        if make not in made:
-            made[make] = tmp_path_factory.mktemp(make.__name__)
-            make(made[make])
-        return made[make]
-
-    yield find
-    for folder in made.values():
-        shutil.rmtree(folder)
 
 
 def fills(volume: float, bounds=UNIT, *, cells: int = 6, nodes: int = 8, note: str = "") -> Check:

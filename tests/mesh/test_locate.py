@@ -7,8 +7,8 @@ import pytest
 import pyvista
 
 from pipeline.errors import MeshError
+from pipeline.formats.cell_kinds import TYPES
 from pipeline.formats.grid import CellArray, PolyhedronFaces
-from pipeline.mesh.cell_kinds import TYPES
 from pipeline.mesh.cell_mesh import CellMesh
 from pipeline.mesh.locate import locate_points
 from pipeline.mesh.shape_functions import find_kind

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from pipeline.formats.cell_kinds import TYPES
 from pipeline.formats.grid import CellArray, PolyhedronFaces
-from pipeline.mesh.cell_kinds import TYPES
 from pipeline.mesh.cell_mesh import CellMesh
 from pipeline.mesh.cell_text import describe_cells
 from pipeline.mesh.shape_functions import make_kind

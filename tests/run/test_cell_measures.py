@@ -7,8 +7,8 @@ from vtk.util.numpy_support import numpy_to_vtk, vtk_to_numpy
 
 from pipeline.errors import MeshError
 from pipeline.fem.rotation import angle, polar_by_svd
+from pipeline.formats.cell_kinds import HEXAGONAL_PRISM, PENTAGONAL_PRISM, POLYGON, POLYHEDRON, ROWS, TYPES
 from pipeline.formats.grid import CellArray, PolyhedronFaces
-from pipeline.mesh.cell_kinds import HEXAGONAL_PRISM, PENTAGONAL_PRISM, POLYGON, POLYHEDRON, ROWS, TYPES
 from pipeline.mesh.cell_mesh import CellMesh, measure_volumes
 from pipeline.mesh.quadrature import find_quadrature, find_samples
 from pipeline.mesh.shape_functions import CellKind, find_kind

@@ -7,15 +7,14 @@ import xarray
 import xugrid
 
 from pipeline.errors import SeriesError
-from pipeline.formats.grid import CellArray, Grid, PolyhedronFaces
-from pipeline.mesh.cell_kinds import TYPES
+from pipeline.formats.cell_kinds import TYPES
+from pipeline.formats.grid import CellArray, Grid, PolyhedronFaces, have_same_cells
 from pipeline.mesh.cell_mesh import CellMesh
 from pipeline.mesh.shape_functions import find_kind
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
 from pipeline.run.measures import AXES, measure, pad_to_space
 from pipeline.series import read_series
-from pipeline.series.body.arrangement import have_same_cells
 from pipeline.series.dataset.mesh_variables import describe_mesh, read_mesh
 from pipeline.series.dataset.pyvista_grid import build_grid
 from pipeline.series.xarray_plugin import SeriesBackend

@@ -1,7 +1,6 @@
 """Series as other programs leave them: every situation gives its right value, or a question that names the choices."""
 
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,22 +27,6 @@ class Situation(NamedTuple):
     make: Callable[[Path], None]
     path: str
     check: Check
-
-
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory) -> Iterator[Callable[..., Path]]:
-    """A function that returns the folder of a maker, which runs once."""
-    made: dict[Callable[[Path], None], Path] = {}
-
-    def find(make: Callable[[Path], None]) -> Path:
-        if make not in made:
-            made[make] = tmp_path_factory.mktemp(make.__name__)
-            make(made[make])
-        return made[make]
-
-    yield find
-    for folder in made.values():
-        shutil.rmtree(folder)
 
 
 # Checks

@@ -37,16 +37,13 @@ KINDS = {
     8: (12, 25, 29, 72),
 }
 CORNERS = {kind: n for n, kinds in KINDS.items() for kind in kinds}
-# Entries that are not read rightly yet, with the reason.
-FAULTS: dict[str, str] = {}
 
 
 def list_entries():
     for path in sorted(PROGRAMS.rglob("expected.json")):
         for entry in json.loads(path.read_text()):
             name = f"{path.parent.relative_to(PROGRAMS).as_posix()}/{entry['series']}"
-            marks = [pytest.mark.xfail(reason=FAULTS[name], strict=True)] if name in FAULTS else []
-            yield pytest.param(path.parent, entry, id=name, marks=marks)
+            yield pytest.param(path.parent, entry, id=name)
 
 
 def find_centers(series: Series) -> np.ndarray:

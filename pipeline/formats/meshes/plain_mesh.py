@@ -29,7 +29,7 @@ class PlainMesh(NamedTuple):
     blocks: list[CellBlock]
     notes: list[str]
     regions: list[str] = []  # noqa: RUF012  (never changed)
-    bodies: list[int] = []  # noqa: RUF012
+    bodies: list[int] = []  # noqa: RUF012  (never changed)
 
 
 def make_block(kind: str, dimension: int, cells: Any) -> CellBlock:

@@ -20,8 +20,7 @@ from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.blocks import join_blocks
 from pipeline.formats.bodies import are_apart
 from pipeline.formats.cell_types import find_cell_fault
-from pipeline.formats.grid import CellArray, Grid
-from pipeline.formats.parts import have_equal_cells
+from pipeline.formats.grid import CellArray, Grid, have_same_cells
 from pipeline.formats.xdmf.cells import get_dimension, read_mesh
 from pipeline.formats.xdmf.document import XdmfDocument
 from pipeline.formats.xdmf.fields import read_fields
@@ -85,7 +84,7 @@ def _read_pieces(opened: _OpenFile, pieces: tuple[XdmfPiece, ...]) -> Grid:
 def _join_pieces(grids: Sequence[Grid], names: Sequence[str]) -> Grid:
     """Return parts as one grid; raises ValueError if two of them are one body at two times."""
     for (one, a), (two, b) in pairwise(zip(names, grids, strict=True)):
-        if have_equal_cells(a, b) and not np.array_equal(a.points, b.points) and not are_apart(a, b):
+        if have_same_cells(a, b) and not np.array_equal(a.points, b.points) and not are_apart(a, b):
             raise ValueError(
                 f"its grids {shorten(one)} and {shorten(two)} are the same cells in almost the same place, so they are "
                 "frames, not parts of a body: put them into a temporal collection, each with its Time"
@@ -132,7 +131,7 @@ def _join_layers(layers: list[Grid], notes: list[str]) -> Grid:
 
 
 def _have_same_mesh(a: Grid, b: Grid) -> bool:
-    return have_equal_cells(a, b) and np.array_equal(a.points, b.points, equal_nan=True)
+    return have_same_cells(a, b) and np.array_equal(a.points, b.points, equal_nan=True)
 
 
 def _describe(grid: Grid) -> str:

@@ -1,4 +1,4 @@
-"""Where a file has the nodes and cells of a mesh: in the same places, in another order told by ids or by positions.
+"""Where a file has the nodes and cells of a mesh: in the same places, or in another order that ids or positions reveal.
 
 A cell is not its place in the connectivity: programs that run in parallel write the same cells in another order after
 a change of the partition. If every cell has points of its own, the connectivity is the same even then.
@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from pipeline.arrays import Fields, Floats, Ints
 from pipeline.formats.grid import CellArray, Grid
+from pipeline.mesh.cell_mesh import find_centers
 from pipeline.series.body.cell_arrays import select_array
 
 _ANY = (
@@ -37,7 +38,7 @@ CELL_IDS = (
     "pedigreecellids", "elementid", "element_id", "element_ids", "elementids", "elem_ids", "elemid", "elem_id",
     "cellid", "cell_id", "cell_ids", "cellids", "elementnumber", "element_number", "internal_element_ids", *_ANY,
 )  # fmt: skip
-_APART = 1e-6  # of the body's size: single precision leaves a few 1e-7
+APART = 1e-6  # of the body's size: single precision leaves a few 1e-7
 
 
 class Arrangement(NamedTuple):
@@ -72,13 +73,6 @@ def make_missing(nodes: int, cells: int, fault: str) -> Arrangement:
     return Arrangement(np.full(nodes, -1, dtype=np.int64), np.full(cells, -1, dtype=np.int64), fault)
 
 
-def have_same_cells(a: Grid, b: Grid) -> bool:
-    """Return whether two grids have equal cells and the same number of points."""
-    if all(one is other for one, other in zip(a.cells, b.cells, strict=True)):  # equal text is decoded only once
-        return a.count == b.count
-    return a.count == b.count and _have_equal_arrays(a.cells, b.cells)
-
-
 def have_same_points(a: Grid, b: Grid) -> bool:
     """Return whether two grids have the same points, as far as cells tell: those of one are among those of the other.
 
@@ -89,17 +83,6 @@ def have_same_points(a: Grid, b: Grid) -> bool:
     fewer, more = (a, b) if len(a.types) <= len(b.types) else (b, a)
     same = np.arange(a.count)
     return _find_cells(more.cells, same, fewer.cells, same) is not None
-
-
-def _have_equal_arrays(a: CellArray, b: CellArray) -> bool:
-    """Return whether two lists of cells are equal: polygons of other lengths, or other faces of polyhedra, are not."""
-    arrays: list[tuple[NDArray[Any], NDArray[Any]]] = [
-        (a.types, b.types), (a.offsets, b.offsets), (a.connectivity, b.connectivity)
-    ]  # fmt: skip
-    if (a.faces is None) != (b.faces is None):
-        return False
-    arrays += [] if a.faces is None or b.faces is None else [*zip(a.faces, b.faces, strict=True)]
-    return all(np.array_equal(one, other) for one, other in arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +200,7 @@ def _follow_cells(grid: Grid, where: Ints, table: IdTable) -> Ints | None:
     points[raw.connectivity] = own.connectivity
     x = grid.points
     apart = np.abs(x[points[raw.connectivity]] - x[own.connectivity])  # a node has one place, whichever cell names it
-    if (apart > _APART * float(np.ptp(x, axis=0).max(initial=0.0))).any():
+    if (apart > APART * float(np.ptp(x, axis=0).max(initial=0.0))).any():
         return None
     nodes = table.base.nodes
     nodes = points if nodes is None else points[np.minimum(nodes, len(points) - 1)]
@@ -254,7 +237,7 @@ def match_by_positions(
     if not len(other_cells.types) or not np.isfinite(other).all():
         return None
     where = _match_centers(
-        _find_centers(X, cells), cells.types, _find_centers(other, other_cells), other_cells.types, tolerance
+        find_centers(X, cells), cells.types, find_centers(other, other_cells), other_cells.types, tolerance
     )
     if where is None or not np.array_equal(np.diff(other_cells.offsets)[where], np.diff(cells.offsets)):
         return None
@@ -270,14 +253,6 @@ def match_by_positions(
             return None
         nodes[own] = np.take_along_axis(their, nearest, axis=1)
     return None if (nodes < 0).any() else Arrangement(nodes, where)
-
-
-def _find_centers(points: Floats, cells: CellArray) -> Floats:
-    """Return the mean position (e, c) of the points of every cell."""
-    sizes = np.diff(cells.offsets)
-    owner = np.repeat(np.arange(len(sizes)), sizes)
-    sums = [np.bincount(owner, axis, minlength=len(sizes)) for axis in points[cells.connectivity].T]
-    return np.column_stack(sums) / np.maximum(sizes, 1)[:, None]
 
 
 def _match_centers(

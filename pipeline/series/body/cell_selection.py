@@ -13,8 +13,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import SeriesError, join_names
+from pipeline.formats.cell_kinds import TYPES, explain_refusal
 from pipeline.formats.grid import CellArray, Grid
-from pipeline.mesh.cell_kinds import TYPES, explain_refusal
 from pipeline.series.body.cell_arrays import select_array
 from pipeline.series.body.cell_sides import join_coincident
 

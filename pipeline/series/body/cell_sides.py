@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
+from pipeline.formats.cell_kinds import POLYGON
 from pipeline.formats.grid import CellArray
 from pipeline.mesh.blocks import split_blocks
-from pipeline.mesh.cell_kinds import POLYGON
 
 _SQUARE_FACES = ((0, 1), (1, 2), (2, 3), (3, 0))
 _FACES: dict[str, tuple[tuple[int, ...], ...]] = {

@@ -239,7 +239,7 @@ def _ask(evidence: Evidence, candidates: list[FieldMotion], where: str) -> str:
 
 
 def _judge_single_frame(evidence: Evidence, motions: dict[str, FieldMotion], where: str) -> DisplacementChoice:
-    """Return the choice for a series of one frame: nothing moves in it, so that only its format tells."""
+    """Return the choice for a series of one frame: nothing moves in it, so only its format is evidence."""
     candidates = [m for m in motions.values() if m.largest > 0 and m.vector.role != "vague"]
     clear = _drop_copies([m for m in candidates if m.vector.role == "clear"])
     alone = evidence.total > 1

@@ -11,14 +11,13 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.errors import SeriesError, shorten
-from pipeline.formats.grid import Grid
+from pipeline.formats.grid import Grid, have_same_cells
 from pipeline.mesh.cell_mesh import measure_volumes
 from pipeline.mesh.cell_text import describe_cells
 from pipeline.series.body.arrangement import (
     Arrangement,
     IdTable,
     find_ids,
-    have_same_cells,
     have_same_points,
     match_by_ids,
     match_by_positions,
@@ -114,9 +113,9 @@ def _may_be_swapped(grid: Grid, first: Grid) -> bool:
     moved = grid.points - first.points
     vectors = [vector for vector in find_vector_fields(grid).values() if vector.role in ("clear", "short")]
     pairs = [(vector.read(grid), vector.read(first)) for vector in vectors]
-    told = [u - u0 for u, u0 in pairs if u is not None and u0 is not None]
+    changes = [u - u0 for u, u0 in pairs if u is not None and u0 is not None]
     near = _ALIKE * float(np.nanmax(np.abs(moved)))
-    return bool(told) and not any(np.nanmax(np.abs(moved - u), initial=0.0) <= near for u in told)
+    return bool(changes) and not any(np.nanmax(np.abs(moved - u), initial=0.0) <= near for u in changes)
 
 
 def _list_positions(sample: Sample, choice: DisplacementChoice) -> list[Floats]:

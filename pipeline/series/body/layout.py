@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshChangedError, SeriesError, join_names, shorten
-from pipeline.formats.grid import Grid
+from pipeline.formats.grid import Grid, have_same_cells
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.cell_mesh import CellMesh
 from pipeline.mesh.cleanup import PLANAR
@@ -19,7 +19,6 @@ from pipeline.run.frame import Values
 from pipeline.series.body.arrangement import (
     Arrangement,
     IdTable,
-    have_same_cells,
     make_missing,
     match_by_ids,
     match_by_positions,
@@ -32,8 +31,6 @@ from pipeline.series.body.displacement import DisplacementChoice
 from pipeline.series.body.rest_mesh import allow_gap
 from pipeline.series.body.vector_fields import VectorField, find_vector_fields
 from pipeline.series.body.whole_body import measure_whole_body
-
-__all__ = ["Arrangement", "Options", "SeriesLayout", "have_same_cells"]
 
 _PARTED = 0.5  # of the points that coincide at rest
 _LARGEST = 1e75  # [m]: volumes of larger bodies would overflow; larger coordinates count as not finite
@@ -67,7 +64,7 @@ class SeriesLayout:
     notes: tuple[str, ...]
     decisions: Decisions
     rounding: float = 0.0  # of the points [m]
-    own_points: bool = False  # every cell has its own points, so that their connectivity tells no order
+    own_points: bool = False  # every cell has its own points, so the connectivity reveals no order
     trusted: bool = False  # recorded by this program: all frames have the same mesh
     twins: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))  # see RestMesh
     _last: list[tuple[Grid, Arrangement]] = field(default_factory=list, init=False, repr=False)
@@ -126,7 +123,7 @@ class SeriesLayout:
         )
 
     def _match_at_rest(self, grid: Grid) -> Arrangement | None:
-        """Return where a frame has the mesh by rest positions, if it tells them."""
+        """Return where a frame has the mesh by rest positions, if it has any."""
         rest = self._find_rest_points(grid)
         if rest is None:
             return None
@@ -150,12 +147,12 @@ class SeriesLayout:
         parted = float(np.mean(now[shared] != now[before[shared]])) if len(shared) else 0.0
         counts = len(np.unique(before)), len(np.unique(now))
         if parted > _PARTED and counts[1] < (counts[0] + len(before)) / 2:
-            text = "its cells come in another order than those of the first frame, and it has no ids that tell which"
+            text = "its cells come in another order than those of the first frame, and it has no ids"
             return make_missing(len(before), len(self.mesh.cell_array.types), text)
         return self.arrangement
 
     def _find_rest_points(self, grid: Grid) -> Floats | None:
-        """Return the rest positions (n, 3) that a frame itself tells, or None."""
+        """Return the rest positions (n, 3) that a frame itself has, or None."""
         if "rest_position" in grid.point_data and "rest_position" in self.grid.point_data:
             return np.asarray(grid.point_data["rest_position"], dtype=np.float64)
         if self.choice.added:
@@ -165,7 +162,7 @@ class SeriesLayout:
         return None
 
     def _is_moved(self, grid: Grid) -> bool:
-        """Return whether the rest positions of a frame are told and are not in the places of the first frame's."""
+        """Return whether a frame has rest positions that are not those of the first frame."""
         rest = self._find_rest_points(grid)
         if rest is None or len(rest) != self.grid.count:
             return False

@@ -39,7 +39,7 @@ class FieldMotion:
     differs: float = 0.0  # largest |(x_k - x_0) - (u_k - u_0)|
     is_position: bool = False  # the points minus the field are one point
     differs_from_steps: float = 0.0  # largest |(x_k - x_k-1) - u_k|, of consecutive frames
-    scales: list[float] = field(default_factory=list)  # of u_k - u_0 that fit x_k - x_0 best, where they fit
+    scales: list[float] = field(default_factory=list)  # of u_k - u_0 that fit x_k - x_0 best, if they fit
 
     @property
     def at_start(self) -> float:

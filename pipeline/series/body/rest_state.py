@@ -8,9 +8,9 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.errors import SeriesError, join_names
-from pipeline.formats.grid import Grid
+from pipeline.formats.grid import Grid, have_same_cells
 from pipeline.formats.readers import SUFFIXES
-from pipeline.series.body.arrangement import IdTable, have_same_cells, match_by_ids
+from pipeline.series.body.arrangement import IdTable, match_by_ids
 from pipeline.series.body.displacement import DisplacementChoice
 from pipeline.series.files.frame_files import read_grid
 

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MeshChangedError
-from pipeline.formats.grid import Grid
+from pipeline.formats.grid import Grid, have_same_cells
 from pipeline.run.measures import STEPS, pad_to_space
-from pipeline.series.body.arrangement import Arrangement, have_same_cells
+from pipeline.series.body.arrangement import Arrangement
 from pipeline.series.dataset.field_table import FieldForm, fit_value
 from pipeline.series.series import Series
 

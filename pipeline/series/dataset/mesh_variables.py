@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, SeriesError
+from pipeline.formats.cell_kinds import TYPES
 from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.formats.grid import CellArray, PolyhedronFaces
 from pipeline.mesh.body_mesh import BodyMesh
-from pipeline.mesh.cell_kinds import TYPES
 from pipeline.mesh.cell_mesh import CellMesh
 from pipeline.mesh.shape_functions import find_kind
 from pipeline.mesh.simplex import Mesh

@@ -1,4 +1,4 @@
-"""Times of frames that an index or their files give as equal: told apart by better times, or by their order."""
+"""Times of frames that an index or their files give as equal: better times or their order distinguish them."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.bodies import are_apart
-from pipeline.formats.grid import Grid
-from pipeline.formats.parts import have_equal_cells
+from pipeline.formats.grid import Grid, have_same_cells
 from pipeline.formats.pvd import IndexEntry
 from pipeline.series.files.file_names import list_numbers, make_natural_key, make_template, read_decimals
 from pipeline.series.files.frame_files import find_fault, read_grid, read_times
@@ -195,7 +194,7 @@ def _take_order(entries: Sequence[IndexEntry], groups: _Groups, where: str) -> _
         return None  # reported later
     grids = [read_grid(entries[i].file, entries[i].step) for i in first]
     apart = all(are_apart(a, b) for a, b in combinations(grids, 2))
-    same = all(have_equal_cells(grids[0], grid) for grid in grids[1:])
+    same = all(have_same_cells(grids[0], grid) for grid in grids[1:])
     uniform = len({len(own) for own in groups}) == 1 and sum(map(len, groups)) == len(entries)
     if same and not (apart and uniform):
         return None
@@ -217,7 +216,7 @@ def _recur(entries: Sequence[IndexEntry], groups: _Groups, grids: Sequence[Grid]
     nexts = [entries[i] for i in groups[1][: len(grids)]]
     if any(find_fault(entry.file) for entry in nexts):
         return False
-    return all(have_equal_cells(read_grid(e.file, e.step), g) for e, g in zip(nexts, grids, strict=True))
+    return all(have_same_cells(read_grid(e.file, e.step), g) for e, g in zip(nexts, grids, strict=True))
 
 
 def _drop_replaced(entries: Sequence[IndexEntry], parts: _Parts, where: str) -> tuple[list[int], list[str]]:
@@ -347,7 +346,7 @@ def _check_parts(entries: Sequence[IndexEntry], parts: _Parts, instants: list[li
         read_grid(entries[own[0]].file, entries[own[0]].step, others=tuple(entries[i].file for i in own[1:]))
         grids = [(entries[i].file.name, read_grid(entries[i].file, entries[i].step)) for i in own[:_MOST_READ]]
         for (name, a), (other, b) in combinations(grids, 2):
-            if have_equal_cells(a, b) and not are_apart(a, b) and not (a.points == b.points).all():
+            if have_same_cells(a, b) and not are_apart(a, b) and not (a.points == b.points).all():
                 raise SeriesError(
                     f"{entries[own[0]].file.parent}: {shorten(name)} and {shorten(other)} at t = "
                     f"{entries[own[0]].time:g} s are the same body in almost the same place, not parts of one: name "

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from pipeline.errors import SeriesError, join_names, shorten
 from pipeline.formats.bodies import are_apart
-from pipeline.formats.parts import have_equal_cells
+from pipeline.formats.grid import have_same_cells
 from pipeline.formats.pvd import IndexEntry
 from pipeline.formats.readers import SUFFIXES
 from pipeline.series.files.file_names import list_numbers, make_natural_key, make_template, read_decimals
@@ -113,7 +113,7 @@ def find_numbered_parts(
     numbers = list_numbers(files)
     width = len(numbers[0])
     if width < 2 or any(len({own[k] for own in numbers}) == len(files) for k in range(width)):
-        return None, []  # one number alone tells all files
+        return None, []  # one number distinguishes all files
     if width > 2:
         whole = [file for file in files if file not in faulty]
         if _are_frames(whole[0], whole[min(1, len(whole) - 1)]) and _are_frames(whole[0], whole[-1]):
@@ -155,4 +155,4 @@ def _find_pair(
 def _are_frames(first: Path, second: Path) -> bool:
     """Return whether two files have the same cells in places that overlap."""
     a, b = read_grid(first), read_grid(second)
-    return have_equal_cells(a, b) and not are_apart(a, b)
+    return have_same_cells(a, b) and not are_apart(a, b)
