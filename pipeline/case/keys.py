@@ -24,6 +24,7 @@ from pipeline.case.values import (
     Count,
     Counts,
     Direction,
+    ElementOrder,
     FiniteNumber,
     FolderName,
     Fraction,
@@ -71,6 +72,7 @@ class MeshSpec(Spec):
     size: Annotated[Lengths | None, about("extent of the shape along each axis", "m")] = None
     cells: Annotated[Counts | None, about("blocks along each axis, each of which is split into simplices")] = None
     split: Annotated[Text, about("how a block is split into simplices")] = "kuhn"
+    order: Annotated[ElementOrder, about("degree of the shape functions, 1 or 2; 2 is cheaper for an accuracy")] = 1
     file: Annotated[Text | None, about("a mesh file (docs/meshes.md), relative to the case file")] = None
     scale: Annotated[Positive, about("factor that turns the file's coordinates into meters")] = 1.0
     arrays: Annotated[PythonValue | None, about("points and cells, given in Python")] = None
@@ -270,6 +272,9 @@ class MethodSpec(Spec):
     volume_tolerance: Annotated[Fraction, about("largest spurious volume that a step may have if model = auto")] = 0.01
     law: Annotated[Text, about("elastic law")] = "corotational"
     rotation: Annotated[Text, about("how the corotational law finds the rotation of a cell")] = "polar"
+    rotation_at: Annotated[
+        str, OneOf("points", "element"), about("where cells of order 2 find rotations: at each point, or once per cell")
+    ] = "points"
     stepper: Annotated[Text, about("time integrator")] = "backward_euler"
     iterations: Annotated[Iterations, about("linear solves per step, or converged")] = 1
     mass: Annotated[str, OneOf("consistent", "lumped"), about("mass matrix")] = "consistent"

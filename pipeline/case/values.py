@@ -98,6 +98,12 @@ def _check_count(value: Any) -> int:
     return int(value)
 
 
+def _check_order(value: Any) -> int:
+    if check_integer(value) not in (1, 2):
+        raise make_fault(f"{value} is not 1 or 2")
+    return int(value)
+
+
 def _check_node_number(value: Any) -> int:
     if check_integer(value) < 0:
         raise make_fault(f"{value} is negative; nodes are counted from 0")
@@ -201,6 +207,7 @@ PoissonRatio = Annotated[
     float, PlainValidator(_check_poisson_ratio), _as_json("number", exclusiveMinimum=-1, exclusiveMaximum=0.5)
 ]
 Count = Annotated[int, PlainValidator(_check_count), _as_json("integer", minimum=1)]
+ElementOrder = Annotated[int, PlainValidator(_check_order), _as_json("integer", minimum=1, maximum=2)]
 NodeNumber = Annotated[int, PlainValidator(_check_node_number), _as_json("integer", minimum=0)]
 Iterations = Annotated[
     int | str,

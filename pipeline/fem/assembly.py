@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import bsr_array
 
 from pipeline.arrays import Floats, Ints
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.element_mesh import ElementMesh
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,8 +89,8 @@ class BlockPattern:
 class Assembly:
     """The pattern of a mesh and the map from cells into it.
 
-    `corners` (e, d + 1) sorts the corners of each cell by row. `pairs` (e, (d + 1)(d + 2)/2) are then the blocks of the
-    corners (0, 0), (1, 0), (1, 1), (2, 0), …
+    `corners` (e, k) sorts the nodes of each cell by row. `pairs` (e, k (k + 1)/2) are then the blocks of the nodes
+    (0, 0), (1, 0), (1, 1), (2, 0), …
     """
 
     pattern: BlockPattern
@@ -98,25 +98,25 @@ class Assembly:
     pairs: Ints
 
     def sum_scalars(self, cell_matrices: Floats) -> Floats:
-        """Return the values (blocks,) of the sum of symmetric cell matrices (e, d + 1, d + 1)."""
+        """Return the values (blocks,) of the sum of symmetric cell matrices (e, k, k)."""
         return self.sum_blocks(cell_matrices[:, :, None, :, None])[:, 0, 0]
 
     def sum_blocks(self, cell_matrices: Floats) -> Floats:
-        """Return the values (blocks, k, k) of the sum of symmetric cell matrices (e, d + 1, k, d + 1, k)."""
-        k, corners = cell_matrices.shape[2], self.corners
+        """Return the values (blocks, c, c) of the sum of symmetric cell matrices (e, k, c, k, c)."""
+        c, corners = cell_matrices.shape[2], self.corners
         a, b = np.tril_indices(corners.shape[1])
         cells = np.arange(len(corners))[:, None]
-        lower = cell_matrices[cells, corners[:, a], :, corners[:, b], :].reshape(-1, k * k)
+        lower = cell_matrices[cells, corners[:, a], :, corners[:, b], :].reshape(-1, c * c)
         sums = [np.bincount(self.pairs.ravel(), weights=entry, minlength=self.pattern.blocks) for entry in lower.T]
-        return np.asarray(np.stack(sums, axis=1), np.float64).reshape(-1, k, k)
+        return np.asarray(np.stack(sums, axis=1), np.float64).reshape(-1, c, c)
 
 
-def sort_corners(mesh: Mesh, order: Ints) -> Ints:
-    """Return the corners of every cell (e, d + 1) sorted by the rows of their nodes; row k belongs to node order[k]."""
+def sort_corners(mesh: ElementMesh, order: Ints) -> Ints:
+    """Return the nodes of every cell (e, k) sorted by the rows of their nodes; row k belongs to node order[k]."""
     return np.argsort(np.argsort(order)[mesh.cells], axis=1)
 
 
-def assemble_pattern(mesh: Mesh, order: Ints | None = None) -> Assembly:
+def assemble_pattern(mesh: ElementMesh, order: Ints | None = None) -> Assembly:
     """Return the assembly of a mesh; row k belongs to node order[k], by default to node k."""
     n = len(mesh.points)
     order = np.arange(n) if order is None else order

@@ -1,26 +1,32 @@
 """A body: mesh, law, mass, supports and loads, and the vectors and matrices of its equation of motion.
 
-    M dv/dt = f_ext + f_el(x),    f_el,a = -sum_cells V P grad N_a,    K = -df_el/dx
+    M dv/dt = f_ext + f_el(x),    f_el,a = -sum_points w P grad N_a,    K = -df_el/dx
 
-Body sums over cells with numpy, for every law; compiled_body.py does the same with compiled kernels.
+Body sums over integration points with numpy, for every law; compiled_body.py does the same with compiled kernels.
+
+Rotations are found at sites: at every integration point, or once per element from its mean F. The latter is cheaper in
+elements of order 2, but not accurate if they bend much, and has no potential. Linear simplices have one site each.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
-from pipeline.fem.element import deformation_gradient, nodal_forces, nodal_sums, stiffness_blocks
+from pipeline.fem.element import deformation_gradient, mean_gradient, nodal_forces, nodal_sums, stiffness_blocks
 from pipeline.fem.frame_error import FrameError, measure_frame_error, spurious_volume
 from pipeline.fem.laws import Law, Tangent
 from pipeline.fem.mass import MassModel
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.element_mesh import ElementMesh
+
+Sites = Literal["points", "element"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,12 +36,13 @@ class Body:
     Methods write into `out` if it is given. Returned arrays belong to the caller, unless stated otherwise.
     """
 
-    mesh: Mesh
+    mesh: ElementMesh
     law: Law
     supports: Supports
     load: Floats
     mass_model: MassModel
     varying_load: Callable[[float], Floats] | None = None
+    rotation_at: Sites = "points"
 
     def __repr__(self) -> str:
         held = len(self.supports.nodes)
@@ -90,18 +97,33 @@ class Body:
 
     @cached_property
     def lumped_mass(self) -> Floats:
-        """Return the row sums of M (n,) [kg]."""
-        return self.material.density * self.mesh.node_volumes
+        """Return the masses of the nodes (n,) [kg], all positive; their sum is that of M."""
+        return self.material.density * self.mesh.lumped_volumes
+
+    @cached_property
+    def mass_bound(self) -> Floats:
+        """Return nodal masses b (n,) [kg] with v . M v <= sum b |v|^2, by Gershgorin: lumped ones if the order is 1."""
+        if self.mass_model.is_diagonal or self.mesh.order == 1:
+            return self.lumped_mass
+        cells = np.abs(self.mass_model.cell_masses(self.mesh, self.material.density)).sum(axis=2)
+        return nodal_sums(self.mesh, cells[:, :, None])[:, 0]
 
     @cached_property
     def frequency_bound(self) -> float:
         """Return an upper bound on the frequencies at rest with lumped masses [rad/s]: cheap, but a few times too high.
 
-        In a cell omega^2 <= (lam + 2 mu) V sum_a |grad N_a|^2 / m, with the mass m = rho V / (d + 1) of a corner.
+        In an element omega^2 <= (lam + 2 mu) sum_a (int |grad N_a|^2 dV / m_a), with the masses m_a of its nodes.
         """
-        m = self.material
-        steepest = (self.mesh.shape_gradients**2).sum(axis=(1, 2)).max()
-        return float(np.sqrt((m.lam + 2 * m.mu) * (self.mesh.dimension + 1) * steepest / m.density))
+        m, (weights, gradients) = self.material, self.mesh.integration
+        squares = np.einsum("eq,eqai,eqai->ea", weights, gradients, gradients)
+        largest = (squares / self.mesh.lumped_shares).sum(axis=1).max()
+        return float(np.sqrt((m.lam + 2 * m.mu) * largest / m.density))
+
+    @property
+    def site_count(self) -> int:
+        """Return the number of rotations s: one per integration point, or one per element."""
+        e, q = self.mesh.integration.weights.shape
+        return e if self.rotation_at == "element" else e * q
 
     @cached_property
     def _held_at_rest(self) -> Floats:
@@ -126,16 +148,27 @@ class Body:
         multiply_scalars(pattern.indptr, pattern.columns, pattern.order, self._nodal_mass, np.ascontiguousarray(v), out)
         return out
 
+    def site_gradients(self, x: Floats) -> Floats:
+        """Return F (s, d, d) at the sites of rotations, at positions x (n, d)."""
+        F = deformation_gradient(self.mesh, x)
+        return mean_gradient(self.mesh, F) if len(F) > self.site_count else F
+
     def rotations(self, x: Floats) -> Floats:
-        """Return the rotations of the law (e, d, d) at positions x (n, d)."""
-        return self.law.rotations(deformation_gradient(self.mesh, x))
+        """Return the rotations of the law (s, d, d) at positions x (n, d)."""
+        return self.law.rotations(self.site_gradients(x))
+
+    def _spread(self, R: Floats) -> Floats:
+        """Return the rotations at all points (p, d, d) of those at the sites (s, d, d)."""
+        points = self.mesh.integration.weights.size
+        return R if len(R) == points else np.repeat(R, points // len(R), axis=0)
 
     def nodal_rotations(self, x: Floats, out: Floats | None = None) -> Floats:
-        """Return for each node the polar rotation of the mean F of its cells (n, d, d)."""
-        V, F = self.mesh.rest_volumes, deformation_gradient(self.mesh, x)
-        e, d = F.shape[:2]
-        share = np.broadcast_to((V[:, None] * F.reshape(e, d * d))[:, None], (e, d + 1, d * d))
-        R = polar(nodal_sums(self.mesh, share).reshape(-1, d, d))
+        """Return for each node the polar rotation of the mean F of its elements (n, d, d)."""
+        w, F = self.mesh.integration.weights, deformation_gradient(self.mesh, x)
+        e, k = self.mesh.cells.shape
+        d = x.shape[1]
+        total = (w.reshape(-1, 1) * F.reshape(-1, d * d)).reshape(*w.shape, d * d).sum(axis=1)
+        R = polar(nodal_sums(self.mesh, np.broadcast_to(total[:, None], (e, k, d * d))).reshape(-1, d, d))
         if out is None:
             return R
         np.copyto(out, R)
@@ -144,13 +177,15 @@ class Body:
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, d)."""
         F = deformation_gradient(self.mesh, x)
-        return float(self.mesh.rest_volumes @ self.law.energy_density(F, self.law.rotations(F)))
+        R = self._spread(self.rotations(x))
+        return float(self.mesh.integration.weights.ravel() @ self.law.energy_density(F, R))
 
     def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
-        """Return the elastic forces ON the nodes f_el (n, d) [N], with the rotations R (e, d, d) if given."""
+        """Return the elastic forces ON the nodes f_el (n, d) [N], with the rotations R (s, d, d) if given."""
         F = deformation_gradient(self.mesh, x)
         out = np.empty_like(x) if out is None else out
-        out[:] = nodal_forces(self.mesh, self.law.stress(F, self.law.rotations(F) if R is None else R))
+        R = self._spread(self.rotations(x) if R is None else R)
+        out[:] = nodal_forces(self.mesh, self.law.stress(F, R))
         return out
 
     def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
@@ -162,13 +197,13 @@ class Body:
             self.momentum(np.zeros_like(self.mesh.points))
 
     def update_rotations(self, x: Floats, R: Floats) -> float:
-        """Write the rotations of the law into R (e, d, d); return the spurious volume of the largest one."""
+        """Write the rotations of the law into R (s, d, d); return the spurious volume of the largest one."""
         R[:] = self.rotations(x)
         return spurious_volume(float(np.trace(R, axis1=1, axis2=2).min()), x.shape[1])
 
     def measure_frame_error(self, x: Floats, used: Floats | None, reached: Floats) -> FrameError:
-        """Write the rotations at x into reached (e, d, d); return their frame error from those used (None: I)."""
-        return measure_frame_error(self.law, deformation_gradient(self.mesh, x), used, reached)
+        """Write the rotations at x into reached (s, d, d); return their frame error from those used (None: I)."""
+        return measure_frame_error(self.law, self.site_gradients(x), used, reached)
 
     def bound_frame_error(self, x: Floats) -> float:
         """Return an upper bound on the indicator of measure_frame_error(x, None) that needs no rotations.
@@ -195,7 +230,6 @@ class Body:
     ) -> None:
         """Write the elastic forces into f (n, d) and add scale * K to A (blocks, d, d)."""
         F = deformation_gradient(self.mesh, x)
-        if R is None:
-            R = self.law.rotations(F)
+        R = self._spread(self.rotations(x) if R is None else R)
         f[:] = nodal_forces(self.mesh, self.law.stress(F, R))
         A += scale * self.assembly.sum_blocks(stiffness_blocks(self.mesh, self.law.tangent(F, R, kind)))

@@ -10,18 +10,21 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.fem.assembly import sort_corners
-from pipeline.fem.body import Body
+from pipeline.fem.body import Body, Sites
 from pipeline.fem.frame_error import FrameError, indicator, spurious_volume
 from pipeline.fem.kernels import IDENTITY, POLAR
 from pipeline.fem.laws import CREASE, Corotational, Law, Linear, Tangent
 from pipeline.fem.mass import MassModel
 from pipeline.fem.supports import Supports
+from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.simplex import Mesh
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompiledBody(Body):
     """The same as Body up to rounding; sums over cells with kernels/tetrahedron.py or, in the plane, triangle.py."""
+
+    mesh: Mesh
 
     @cached_property
     def _rotation(self) -> int:
@@ -201,17 +204,16 @@ def find_rotation_number(law: Law) -> int | None:
 
 
 def make_body(
-    mesh: Mesh,
+    mesh: ElementMesh,
     law: Law,
     supports: Supports,
     load: Floats,
     mass_model: MassModel,
     varying_load: Callable[[float], Floats] | None = None,
+    rotation_at: Sites = "points",
 ) -> Body:
     """Return the fastest body for a law; a law without a kernel gets a plain Body."""
-    kind = Body
-    if isinstance(law, Linear):
-        kind = LinearBody
-    elif find_rotation_number(law) is not None:
-        kind = CompiledBody
-    return kind(mesh, law, supports, load, mass_model, varying_load)
+    if isinstance(mesh, Mesh) and find_rotation_number(law) is not None:
+        kind = LinearBody if isinstance(law, Linear) else CompiledBody
+        return kind(mesh, law, supports, load, mass_model, varying_load)
+    return Body(mesh, law, supports, load, mass_model, varying_load, rotation_at)

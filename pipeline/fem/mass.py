@@ -1,4 +1,7 @@
-"""Mass matrices of the linear simplex: consistent, or lumped into a diagonal of the row sums."""
+"""Mass matrices of elements: consistent, or lumped into a positive diagonal.
+
+Linear simplices are lumped by row sums, quadratic ones by their scaled diagonal (mesh/quadratic.py).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,25 +9,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.arrays import Floats
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.element_mesh import ElementMesh
 
 
 @dataclass(frozen=True)
 class MassModel:
-    """`cell_masses(mesh, density)` returns the mass matrices of all cells (e, d + 1, d + 1) [kg]."""
+    """`cell_masses(mesh, density)` returns the mass matrices of all elements (e, k, k) [kg]."""
 
-    cell_masses: Callable[[Mesh, float], Floats]
+    cell_masses: Callable[[ElementMesh, float], Floats]
     is_diagonal: bool
 
 
-def consistent_masses(mesh: Mesh, density: float) -> Floats:
-    """Return rho V / ((d+1)(d+2)) (1 + delta_ab) of each cell (e, d + 1, d + 1) [kg]."""
+def consistent_masses(mesh: ElementMesh, density: float) -> Floats:
+    """Return rho int N_a N_b dV of each element (e, k, k) [kg]; rho V / ((d+1)(d+2)) (1 + delta_ab) of order 1."""
+    if mesh.order > 1:
+        return density * mesh.shape_products
     k = mesh.dimension + 1
     return (density * mesh.rest_volumes / (k * (k + 1)))[:, None, None] * (1 + np.eye(k))
 
 
-def lumped_masses(mesh: Mesh, density: float) -> Floats:
-    """Return rho V / (d + 1) delta_ab of each cell (e, d + 1, d + 1) [kg]."""
+def lumped_masses(mesh: ElementMesh, density: float) -> Floats:
+    """Return the diagonal mass matrix of each element (e, k, k) [kg]; rho V / (d + 1) delta_ab of order 1."""
+    if mesh.order > 1:
+        return density * mesh.lumped_shares[:, :, None] * np.eye(mesh.cells.shape[1])
     k = mesh.dimension + 1
     return (density * mesh.rest_volumes / k)[:, None, None] * np.eye(k)
 

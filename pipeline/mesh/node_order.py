@@ -23,6 +23,8 @@ _CUBE_EDGES = [*_SQUARE_EDGES, *((a + 4, b + 4) for a, b in _SQUARE_EDGES), (0, 
 _TRIANGLE_EDGES = [(0, 1), (1, 2), (2, 0)]
 _PRISM_EDGES = [*_TRIANGLE_EDGES, *((a + 3, b + 3) for a, b in _TRIANGLE_EDGES), (0, 3), (1, 4), (2, 5)]
 _TETRAHEDRON_EDGES = [*_TRIANGLE_EDGES, (0, 3), (1, 3), (2, 3)]
+# by dimension: the corners at the ends of each side of a triangle or tetrahedron
+SIMPLEX_EDGES = {2: np.array(_TRIANGLE_EDGES), 3: np.array(_TETRAHEDRON_EDGES)}
 # faces: a corner, and the two corners to which their nodes run, the first of them fastest
 _CUBE_FACES = [(0, 3, 4), (1, 2, 5), (0, 1, 4), (3, 2, 7), (0, 1, 3), (4, 5, 7)]
 _PRISM_QUADS = [(0, 1, 3), (1, 2, 4), (2, 0, 5)]

@@ -68,10 +68,10 @@ def _integrate_interval(degree: int) -> Quadrature:
     return Quadrature((points[:, None] + 1) / 2, weights / 2)
 
 
-def _integrate_simplex(dimension: int, degree: int) -> Quadrature:
+def _integrate_simplex(dimension: int, degree: int, *, is_listed: bool = True) -> Quadrature:
     """Return a rule on a triangle or tetrahedron, exact to that degree: listed, or a product on the collapsed cube."""
     listed = _TRIANGLES if dimension == 2 else _TETRAHEDRA
-    enough = [known for known in listed if known >= degree]
+    enough = [known for known in listed if known >= degree and is_listed]
     if enough:
         barycentric, weights = listed[min(enough)]
         return Quadrature(barycentric[:, 1:], weights / (2 if dimension == 2 else 6))
@@ -93,6 +93,30 @@ def _multiply(a: Quadrature, b: Quadrature) -> Quadrature:
         [np.repeat(a.points, len(b.weights), axis=0), np.tile(b.points, (len(a.weights), 1))], axis=1
     )
     return Quadrature(points, np.outer(a.weights, b.weights).ravel())
+
+
+# Gauss's rules of the simplices, exact to degree 2, with their points inside: a corner's coordinate, and the others
+_GAUSS = {2: (2 / 3, 1 / 6), 3: ((5 + 3 * 5**0.5) / 20, (5 - 5**0.5) / 20)}
+
+
+@cache
+def find_stress_quadrature(dimension: int, *, is_straight: bool) -> Quadrature:
+    """Return the rule for stresses in quadratic simplices: exact to degree 2 if straight, else 3.
+
+    Products of gradients have degree 2 in straight cells; in curved ones constant stresses have degree 3.
+    """
+    if not is_straight:
+        return _integrate_simplex(dimension, 3, is_listed=False)
+    corner, other = _GAUSS[dimension]
+    barycentric = np.full((dimension + 1,) * 2, other) + (corner - other) * np.eye(dimension + 1)
+    volume = 1 / (2 if dimension == 2 else 6)
+    return Quadrature(barycentric[:, 1:], np.full(dimension + 1, volume / (dimension + 1)))
+
+
+@cache
+def find_mass_quadrature(dimension: int, *, is_straight: bool) -> Quadrature:
+    """Return the rule for products of two quadratic shape functions: degree 4, and that of det J0 if curved."""
+    return _integrate_simplex(dimension, 4 if is_straight else 4 + dimension)
 
 
 @cache

@@ -12,6 +12,8 @@ from pipeline.errors import MeshError
 from pipeline.formats.cell_types import CELL_TYPES
 from pipeline.formats.grid import CellArray
 from pipeline.mesh.body_mesh import BodyMesh
+from pipeline.mesh.element_mesh import ElementMesh
+from pipeline.mesh.integration import Integration
 
 _LARGEST = 1e30  # [m]: squares and cubes of coordinates do not overflow
 _AT_A_TIME = 8192  # cells: intermediate arrays stay in the cache
@@ -117,6 +119,33 @@ class Mesh:
         """Return grad N_a (e, d + 1, d) [1/m]: the rows of Dm^-1, and minus their sum for the first vertex."""
         return compute_shape_gradients(self.points, self.cells)
 
+    @property
+    def order(self) -> int:
+        """Return the degree of the shape functions."""
+        return 1
+
+    @cached_property
+    def integration(self) -> Integration:
+        """Return the one point of every cell: gradients are constant."""
+        return Integration(self.rest_volumes[:, None], self.shape_gradients[:, None])
+
+    @property
+    def shape_products(self) -> Floats:
+        """Return int N_a N_b dV of every cell (e, k, k) [m3; m2 in the plane]."""
+        k = self.dimension + 1
+        return (self.rest_volumes / (k * (k + 1)))[:, None, None] * (1 + np.eye(k))
+
+    @property
+    def lumped_shares(self) -> Floats:
+        """Return the share V / (d + 1) of every node in its cells (e, d + 1)."""
+        k = self.dimension + 1
+        return np.repeat((self.rest_volumes / k)[:, None], k, axis=1)
+
+    @property
+    def lumped_volumes(self) -> Floats:
+        """Return the sums of these shares at the nodes (n,)."""
+        return self.node_volumes
+
     @cached_property
     def centers(self) -> Floats:
         """Return the mean rest position of the points of every cell (e, d)."""
@@ -141,26 +170,27 @@ def require_simplices(mesh: BodyMesh) -> Mesh:
     return mesh
 
 
-def measure_quality(mesh: Mesh) -> Floats:
-    """Return d inradius / circumradius of every cell (e,): 1 for a regular cell, 0 for a flat one."""
+def measure_quality(mesh: ElementMesh) -> Floats:
+    """Return d inradius / circumradius of every cell's corners (e,): 1 for a regular cell, 0 for a flat one."""
     d = mesh.dimension
+    cells = mesh.cells[:, : d + 1]
     faces = np.array([np.delete(np.arange(d + 1), a) for a in range(d + 1)])
-    corners = mesh.points[mesh.cells[:, faces]]  # (e, face, d vertices, d)
+    corners = mesh.points[cells[:, faces]]  # (e, face, d vertices, d)
     if d == 2:
         areas = np.linalg.norm(corners[:, :, 1] - corners[:, :, 0], axis=-1)
     else:
         sides = corners[:, :, 1:] - corners[:, :, :1]
         areas = np.linalg.norm(np.cross(sides[:, :, 0], sides[:, :, 1]), axis=-1) / 2
-    inradius = d * mesh.rest_volumes / areas.sum(axis=1)
-    edges = np.swapaxes(edge_matrices(mesh.points, mesh.cells), 1, 2)
+    inradius = d * signed_volumes(mesh.points, cells) / areas.sum(axis=1)
+    edges = np.swapaxes(edge_matrices(mesh.points, cells), 1, 2)
     # the circumcenter c, relative to the first vertex, satisfies edge . c = |edge|^2 / 2 for every edge
     center = np.linalg.solve(edges, (edges**2).sum(axis=2, keepdims=True) / 2)[:, :, 0]
     return np.asarray(d * inradius / np.linalg.norm(center, axis=1))
 
 
-def label_components(mesh: Mesh) -> tuple[int, Ints]:
+def label_components(mesh: ElementMesh) -> tuple[int, Ints]:
     """Return the number of connected components and each node's label (n,); a node without cells is a component."""
-    a = np.repeat(mesh.cells[:, :1], mesh.dimension, axis=1).ravel()
+    a = np.repeat(mesh.cells[:, :1], mesh.cells.shape[1] - 1, axis=1).ravel()
     b = mesh.cells[:, 1:].ravel()
     n = len(mesh.points)
     count, labels = connected_components(coo_array((np.ones(a.size), (a, b)), shape=(n, n)), directed=False)

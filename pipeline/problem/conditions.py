@@ -11,7 +11,7 @@ from pipeline.case.python_values import PythonValue
 from pipeline.fem.body import Body
 from pipeline.fem.loads import body_force, body_force_field, normal_traction
 from pipeline.fem.supports import Motion, PrescribedMotion, RigidMotion, Supports
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.surface import find_boundary_faces
 from pipeline.stepping.state import State
 
@@ -30,7 +30,7 @@ def read_vector(case: Case, key: str, value: tuple[float, ...] | None, d: int) -
     return np.array(value, dtype=np.float64)
 
 
-def select_nodes(case: Case, key: str, selector: Any, mesh: Mesh) -> Ints:
+def select_nodes(case: Case, key: str, selector: Any, mesh: ElementMesh) -> Ints:
     """Return the nodes that a selector of the case names; raises CaseError if there are none."""
     X = mesh.points
     reach = _REACH * mesh.size
@@ -58,7 +58,7 @@ def select_nodes(case: Case, key: str, selector: Any, mesh: Mesh) -> Ints:
     return np.flatnonzero(mask)
 
 
-def note_near_nodes(case: Case, mesh: Mesh) -> list[str]:
+def note_near_nodes(case: Case, mesh: ElementMesh) -> list[str]:
     """Return notes on planes of supports and tractions that miss nodes nearby, as rounded coordinates do."""
     notes = []
     for name, selectors in (("supports", case.supports), ("loads.traction", case.loads.traction)):
@@ -81,7 +81,7 @@ def _check_nodes(case: Case, key: str, nodes: tuple[int, ...], count: int) -> In
     return np.unique(np.array(nodes, dtype=np.int64))
 
 
-def make_supports(case: Case, mesh: Mesh) -> Supports:
+def make_supports(case: Case, mesh: ElementMesh) -> Supports:
     """Return the held nodes and their motions; raises CaseError if a node would have two."""
     held = [select_nodes(case, f"supports.{i}", s, mesh) for i, s in enumerate(case.supports)]
     taken = np.full(len(mesh.points), -1)
@@ -96,7 +96,7 @@ def make_supports(case: Case, mesh: Mesh) -> Supports:
     return Supports(np.flatnonzero(taken >= 0), tuple(motions))
 
 
-def _make_motion(case: Case, key: str, spec: Any, mesh: Mesh) -> Motion:
+def _make_motion(case: Case, key: str, spec: Any, mesh: ElementMesh) -> Motion:
     d = mesh.dimension
     if spec.displacement is not None:
         displacement = get_python_value(case, f"{key}.displacement", spec.displacement)
@@ -120,7 +120,7 @@ def _read_axis(case: Case, key: str, spin: SpinSpec, d: int) -> Floats:
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def make_dead_load(case: Case, mesh: Mesh) -> Floats:
+def make_dead_load(case: Case, mesh: ElementMesh) -> Floats:
     """Return the sum of the dead loads (n, d) [N]."""
     d = mesh.dimension
     density = case.material.density * read_vector(case, "loads.gravity", case.loads.gravity, d)
@@ -146,7 +146,7 @@ def get_python_value(case: Case, key: str, entry: PythonValue) -> Any:
     return entry.value
 
 
-def _integrate_fields(case: Case, mesh: Mesh) -> Floats:
+def _integrate_fields(case: Case, mesh: ElementMesh) -> Floats:
     """Return the nodal forces (n, d) [N] of arrays that were given in Python."""
     f = np.zeros_like(mesh.points)
     for name, integrate in _LOAD_FIELDS.items():
@@ -156,7 +156,7 @@ def _integrate_fields(case: Case, mesh: Mesh) -> Floats:
     return f
 
 
-def make_varying_load(case: Case, mesh: Mesh) -> Callable[[float], Floats] | None:
+def make_varying_load(case: Case, mesh: ElementMesh) -> Callable[[float], Floats] | None:
     """Return the dead loads (n, d) [N] that are functions of time [s], None if there are none."""
     functions = [
         (integrate, value)
@@ -173,7 +173,7 @@ def make_varying_load(case: Case, mesh: Mesh) -> Callable[[float], Floats] | Non
     return load
 
 
-_LOAD_FIELDS: dict[str, Callable[[Mesh, Floats], Floats]] = {
+_LOAD_FIELDS: dict[str, Callable[[ElementMesh, Floats], Floats]] = {
     "body_force_field": body_force_field,
     "nodal_forces": lambda mesh, forces: forces,
 }

@@ -2,16 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from pipeline.case import Case, MethodSpec
 from pipeline.errors import MeshError, join_names, quote_value
-from pipeline.fem.body import Body
+from pipeline.fem.body import Body, Sites
 from pipeline.fem.compiled_body import make_body
 from pipeline.fem.laws import Corotational, Law
 from pipeline.fem.material import Material
 from pipeline.linear.pardiso import load_mkl
+from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.files import read_mesh
+from pipeline.mesh.quadratic import raise_order
 from pipeline.mesh.simplex import Mesh, label_components
 from pipeline.problem.conditions import (
     get_python_value,
@@ -71,7 +73,7 @@ class Problem:
         return make_stepper(self.body, self.dt, self.method)
 
 
-def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
+def build(case: Case, *, mesh: ElementMesh | None = None) -> Problem:
     """Return the problem that a resolved case (or one with a single variant) describes.
 
     `mesh` replaces the case's own. Raises CaseError if a name is unknown, a vector has the wrong length, a selection is
@@ -94,10 +96,11 @@ def build(case: Case, *, mesh: Mesh | None = None) -> Problem:
     return Problem(name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, _list_notes(case, mesh))
 
 
-def _make_body(case: Case, mesh: Mesh) -> Body:
+def _make_body(case: Case, mesh: ElementMesh) -> Body:
     law, mass = _make_law(case), MASSES[case.method.mass].part
     load, varying_load = make_dead_load(case, mesh), make_varying_load(case, mesh)
-    return make_body(mesh, law, make_supports(case, mesh), load, mass, varying_load)
+    supports, sites = make_supports(case, mesh), cast(Sites, case.method.rotation_at)
+    return make_body(mesh, law, supports, load, mass, varying_load, sites)
 
 
 def _make_law(case: Case) -> Law:
@@ -108,20 +111,25 @@ def _make_law(case: Case) -> Law:
     return LAWS[method.law].part(material, ROTATIONS[method.rotation].part)
 
 
-def build_mesh(case: Case) -> Mesh:
+def build_mesh(case: Case) -> ElementMesh:
     """Return the rest mesh of a case; raises CaseError or MeshError."""
-    spec = case.mesh
     try:
-        if spec.arrays is not None:
-            points, cells = get_python_value(case, "mesh.arrays", spec.arrays)
-            return Mesh(points, cells, name=case.name)
-        if spec.shape is None:
-            assert case.mesh_path is not None
-            return read_mesh(case.mesh_path, spec.scale)
-        assert spec.size is not None and spec.cells is not None
-        return SHAPES[_check_name(case, "mesh.shape", spec.shape, SHAPES)].part(spec.size, spec.cells, spec.split)
+        mesh = _build_linear_mesh(case)
+        return raise_order(mesh) if case.mesh.order == 2 else mesh
     except MeshError as error:
         raise case.make_error("mesh", str(error)) from error
+
+
+def _build_linear_mesh(case: Case) -> Mesh:
+    spec = case.mesh
+    if spec.arrays is not None:
+        points, cells = get_python_value(case, "mesh.arrays", spec.arrays)
+        return Mesh(points, cells, name=case.name)
+    if spec.shape is None:
+        assert case.mesh_path is not None
+        return read_mesh(case.mesh_path, spec.scale)
+    assert spec.size is not None and spec.cells is not None
+    return SHAPES[_check_name(case, "mesh.shape", spec.shape, SHAPES)].part(spec.size, spec.cells, spec.split)
 
 
 def resolve_mass(case: Case) -> Case:
@@ -152,6 +160,9 @@ def _check_method(case: Case) -> None:
         _check_name(case, f"method.{key}", getattr(method, key), table)
     traits = find_traits(method)
     has_treatment = INVERSIONS[method.inversion].part is not None
+    if method.rotation_at == "element" and (traits.chooses_model or traits.is_converged):
+        needed = "'points': with one rotation per element there is no potential"
+        raise case.make_error("method.rotation_at", f"model = 'auto' and iterations = 'converged' need {needed}")
     if traits.chooses_model:
         if traits.is_explicit or has_treatment:
             goes_with = "implicit steppers and inversion = 'flip'"
@@ -193,7 +204,7 @@ def _check_name(case: Case, key: str, name: str, table: Mapping[str, Any]) -> st
     return name
 
 
-def _list_notes(case: Case, mesh: Mesh) -> tuple[str, ...]:
+def _list_notes(case: Case, mesh: ElementMesh) -> tuple[str, ...]:
     notes = [*case.notes, *mesh.notes, *note_near_nodes(case, mesh)]
     unused = [key for key in ("law", "rotation", "iterations") if f"method.{key}" in case.own_keys]
     traits = find_traits(case.method)

@@ -14,7 +14,7 @@ from pipeline.errors import SeriesError
 from pipeline.formats.atomic import replace_file
 from pipeline.formats.grid import Grid
 from pipeline.formats.netcdf import NETCDF_LOCK
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.problem.problem import Problem
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.run.measures import VARIABLES, measure
@@ -27,7 +27,7 @@ from pipeline.sinks.netcdf import NetcdfSink
 CHECKPOINTS = "checkpoints"
 
 
-def digest_mesh(mesh: Mesh) -> str:
+def digest_mesh(mesh: ElementMesh) -> str:
     """Return a checksum of points and cells, which shows whether a mesh file has changed."""
     return sha256(mesh.points.tobytes() + mesh.cells.tobytes()).hexdigest()
 

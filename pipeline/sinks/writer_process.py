@@ -16,7 +16,7 @@ from traceback import format_exception
 from typing import Any
 
 from pipeline.errors import OutputError, shorten
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.run.frame import Frame, Sink
 from pipeline.run.recording import OnFrame, Recording, RunSummary
 from pipeline.system.channel import Channel
@@ -185,7 +185,7 @@ def record_runs(channel: Channel) -> None:
             _record_run(channel, *channel.receive())
 
 
-def _record_run(channel: Channel, sinks: Sequence[Sink], before: RunSummary | None, mesh: Mesh) -> None:
+def _record_run(channel: Channel, sinks: Sequence[Sink], before: RunSummary | None, mesh: BodyMesh) -> None:
     """Record one run; frames after a failure have no effect. The sinks are closed even if the channel ends early."""
     recording, has_failed = Recording(sinks, before=before), False
     try:

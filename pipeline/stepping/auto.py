@@ -48,8 +48,8 @@ class Auto:
         self._x, self._is_measured = np.zeros_like(body.mesh.points), False
         self._error, self._from_rest = FrameError(np.inf, np.inf), False
         # rotations used and rotations reached, in turn
-        e, d = len(body.mesh.cells), body.mesh.dimension
-        self._used, self._reached = np.empty((2, e, d, d))
+        d = body.mesh.dimension
+        self._used, self._reached = np.empty((2, body.site_count, d, d))
         from pipeline.stepping.kernels.positions import are_equal
 
         self._are_equal = are_equal

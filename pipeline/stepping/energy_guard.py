@@ -36,8 +36,7 @@ class EnergyGuard:
         self._scratch = np.empty((2, *body.mesh.points.shape))
         # varying loads have no potential: their work is counted in every step instead
         self._load_at_rest = float(np.vdot(body.load, body.mesh.points))
-        # lumped masses bound v . M v from above: within a cell M = rho V (1 + delta) / ((d + 1) (d + 2))
-        self._lumped = np.repeat(body.lumped_mass, body.mesh.dimension)
+        self._mass_bound = np.repeat(body.mass_bound, body.mesh.dimension)
 
     @property
     def dt(self) -> float:
@@ -85,7 +84,7 @@ class EnergyGuard:
         return self._kinetic(state) > bound and self._internal(state) > _FACTOR * bound
 
     def _kinetic_bound(self, state: State) -> float:
-        return 0.5 * float(np.vdot(self._lumped, np.square(state.v, out=self._scratch[0])))
+        return 0.5 * float(np.vdot(self._mass_bound, np.square(state.v, out=self._scratch[0])))
 
     def _kinetic(self, state: State) -> float:
         return 0.5 * float(np.vdot(state.v, self.body.momentum(state.v, self._scratch[0])))

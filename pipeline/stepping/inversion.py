@@ -17,7 +17,6 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.fem.body import Body
-from pipeline.fem.element import deformation_gradient
 from pipeline.fem.rotation import polar
 from pipeline.stepping.state import NO_ARRAYS, State
 
@@ -28,7 +27,7 @@ class Treatment(Protocol):
     """Rotations that depend on the previous step."""
 
     def rotations(self, F: Floats, record: Record) -> tuple[Floats, Record]:
-        """Return the rotations R (e, d, d) of F (e, d, d), and the record for the next step."""
+        """Return the rotations R (s, d, d) of F (s, d, d) at their sites, and the record for the next step."""
         ...
 
 
@@ -36,7 +35,7 @@ def track_rotations(treatment: Treatment | None, body: Body, x: Floats, state: S
     """Return the treatment's rotations at x (n, d) and its next record; without a treatment, None and an empty one."""
     if treatment is None:
         return None, NO_ARRAYS
-    return treatment.rotations(deformation_gradient(body.mesh, x), state.memory.inversion)
+    return treatment.rotations(body.site_gradients(x), state.memory.inversion)
 
 
 class Last:

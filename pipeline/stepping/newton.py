@@ -81,7 +81,7 @@ class Converged:
         )
         # the energy of a unit strain everywhere [J], and the strain that rounding of positions causes
         self._full = (2 * m.mu + abs(m.lam)) * float(body.mesh.rest_volumes.sum())
-        steepest = float(np.abs(body.mesh.shape_gradients).max())
+        steepest = float(np.abs(body.mesh.integration.gradients).max())
         self._rounded_strain = float(np.finfo(np.float64).eps * np.abs(X).max()) * steepest
         # the iterate and a trial of the next one; y, -grad phi, dx, and scratch for two vectors
         self._x, self._trial = np.empty((2, *X.shape))

@@ -91,14 +91,13 @@ def true_limit(body: Body) -> float:
 
 
 def _cell_matrices(body: Body) -> tuple[Floats, Floats]:
-    """Return every cell's stiffness (e, k, k) at rest and its lumped masses (e, k), k = (d + 1) d.
+    """Return every cell's stiffness (e, m, m) at rest and its lumped masses (e, m), of m = k d degrees of freedom.
 
     The bound holds because a node's mass in the whole body is the sum of its masses in the cells.
     """
     mesh = body.mesh
-    e, corners = mesh.cells.shape
+    e, k = mesh.cells.shape
     d = mesh.dimension
-    identity = np.broadcast_to(np.eye(d), (e, d, d))
-    K = stiffness_blocks(mesh, body.law.tangent(identity, identity)).reshape(e, corners * d, corners * d)
-    share = body.material.density * mesh.rest_volumes / corners
-    return K, np.repeat(share[:, None], corners * d, axis=1)
+    identity = np.broadcast_to(np.eye(d), (mesh.integration.weights.size, d, d))
+    K = stiffness_blocks(mesh, body.law.tangent(identity, identity)).reshape(e, k * d, k * d)
+    return K, np.repeat(body.material.density * mesh.lumped_shares, d, axis=1)

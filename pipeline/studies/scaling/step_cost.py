@@ -163,7 +163,7 @@ def _count_bytes(problem: Problem, method: str, work: dict[str, float], solvers:
     that.
     """
     body, pattern = problem.body, problem.body.free_pattern
-    per_cell = body.mesh.shape_gradients[0, 1:].nbytes + 8 + 4 * body.mesh.cells.shape[1]
+    per_cell = body.mesh.integration.gradients[0, :, 1:].nbytes + 8 + 4 * body.mesh.cells.shape[1]
     cells = len(body.mesh.cells)
     if method == "explicit":
         return float(cells * per_cell)

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.case import Case, load_case
 from pipeline.errors import CaseError, MeshError, SolveError
-from pipeline.mesh.simplex import Mesh, signed_volumes
+from pipeline.mesh.simplex import Mesh, require_simplices, signed_volumes
 from pipeline.problem.methods import STEP_LIMITS
 from pipeline.problem.problem import Problem, build
 from pipeline.run.frame import Frame
@@ -111,14 +111,14 @@ def _build_trial(settings: Mapping[str, Any], method: Mapping[str, Any]) -> Prob
         # built with a stepper for which no step is too long
         plain = build(_make_case(settings, changes | {"method.stepper": "backward_euler", "method.law": "linear"}))
         if "sliver" in disturbance:
-            rest, free = plain.body.mesh, plain.body.free
+            rest, free = require_simplices(plain.body.mesh), plain.body.free
             mesh = replace(rest, points=move_apexes(rest, free, 1 - disturbance["sliver"], seed=seed))
         if settings["limit_share"] is not None:
             bound, _ = STEP_LIMITS[settings["method"]["stepper"]]  # of the trial, also for its reference
             limit = bound(replace(plain.body, mesh=mesh or plain.body.mesh))
             changes["schedule.dt"] = settings["limit_share"] * limit
     problem = build(_make_case(settings, changes), mesh=mesh)
-    rest, free, start = problem.body.mesh, problem.body.free, problem.start
+    rest, free, start = require_simplices(problem.body.mesh), problem.body.free, problem.start
     if "scramble" in disturbance:
         x = scramble_nodes(rest, free, disturbance["scramble"], seed=seed)
     elif "inversion" in disturbance:
@@ -131,7 +131,7 @@ def _build_trial(settings: Mapping[str, Any], method: Mapping[str, Any]) -> Prob
 def _run_problem(problem: Problem) -> Course:
     """Return the course of a problem's run; a SolveError becomes its message."""
     body = problem.body
-    course = Course(body.mesh, is_held=bool(body.supports.nodes.size))
+    course = Course(require_simplices(body.mesh), is_held=bool(body.supports.nodes.size))
     supplied, before = 0.0, None
     try:
         for frame in frames(problem):

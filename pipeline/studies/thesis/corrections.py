@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.modes import find_lowest_frequencies
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.simplex import Mesh, require_simplices
 from pipeline.problem.problem import Problem
 from pipeline.studies.thesis.formulas_as_printed import force_6_12, step_4_48, stiffness_4_30, stiffness_4_32
 from pipeline.studies.thesis.published import CORRECTIONS, Correction
@@ -32,9 +32,14 @@ class DenseSystem:
     free: Ints
     problem: Problem
 
+    @property
+    def mesh(self) -> Mesh:
+        """Return the mesh of linear tetrahedra."""
+        return require_simplices(self.problem.body.mesh)
+
     def restrict(self, blocks: Floats) -> Floats:
         """Return the assembled matrix (k, k) of the cells' matrices (e, 4, 3, 4, 3)."""
-        return assemble_dense(self.problem.body.mesh, blocks)[np.ix_(self.free, self.free)]
+        return assemble_dense(self.mesh, blocks)[np.ix_(self.free, self.free)]
 
 
 def assemble_dense(mesh: Mesh, blocks: Floats) -> Floats:
@@ -83,7 +88,7 @@ def measure_travel(system: DenseSystem, K: Floats, *, corrected: bool) -> float:
 
 def run_third_sum(problem: Problem) -> tuple[Numbers, Numbers]:
     """Return the numbers of T 4.30."""
-    make = partial(stiffness_4_30, problem.body.mesh, problem.body.material)
+    make = partial(stiffness_4_30, require_simplices(problem.body.mesh), problem.body.material)
     return measure_element(problem, make()), measure_element(problem, make(corrected=True))
 
 
@@ -91,7 +96,7 @@ def run_left_factor(problem: Problem) -> tuple[Numbers, Numbers]:
     """Return the numbers of T 4.32; its K is used in a correct step."""
     system, numbers = make_dense(problem), []
     for corrected in (False, True):
-        blocks = stiffness_4_32(problem.body.mesh, problem.body.material, corrected=corrected)
+        blocks = stiffness_4_32(require_simplices(problem.body.mesh), problem.body.material, corrected=corrected)
         K = system.restrict(blocks)
         numbers.append(measure_element(problem, blocks) | {"travel": measure_travel(system, K, corrected=True)})
     return numbers[0], numbers[1]
@@ -100,7 +105,7 @@ def run_left_factor(problem: Problem) -> tuple[Numbers, Numbers]:
 def run_load_sign(problem: Problem) -> tuple[Numbers, Numbers]:
     """Return the numbers of T 4.48: growth of the first mode a step, largest displacement, and rise under gravity."""
     system, dt = make_dense(problem), problem.dt
-    K = system.restrict(stiffness_4_30(problem.body.mesh, problem.body.material, corrected=True))
+    K = system.restrict(stiffness_4_30(require_simplices(problem.body.mesh), problem.body.material, corrected=True))
     omega, modes = find_lowest_frequencies(problem.body)
     z = float(omega[0]) * dt
     zero = np.zeros_like(system.f)
@@ -125,8 +130,8 @@ def run_load_sign(problem: Problem) -> tuple[Numbers, Numbers]:
 def run_rest_force(problem: Problem) -> tuple[Numbers, Numbers]:
     """Return the numbers of T 6.12 to 6.16: residual at rest without loads, over -2 K x, and the first step."""
     system, body = make_dense(problem), problem.body
-    blocks = stiffness_4_30(body.mesh, body.material, corrected=True)
-    K_all = assemble_dense(body.mesh, blocks)
+    blocks = stiffness_4_30(system.mesh, body.material, corrected=True)
+    K_all = assemble_dense(system.mesh, blocks)
     x = body.mesh.points.ravel()
     f_0 = K_all @ x
     K, numbers = system.restrict(blocks), []

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.arrays import Ints
 from pipeline.errors import SolveError
 from pipeline.linear.work import Work
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.simplex import Mesh, require_simplices
 from pipeline.problem.methods import STEPPERS
 from pipeline.problem.problem import build, build_mesh
 from pipeline.studies.tradeoff.deviation import (
@@ -131,7 +131,7 @@ class ErrorTable:
         return None if "error" in result else read_motion(result, self._meshes[setting.refinement])
 
     def _build_mesh(self, refinement: int) -> Mesh:
-        return build_mesh(make_point_case(self.plan, self.plan.make_reference(refinement)))
+        return require_simplices(build_mesh(make_point_case(self.plan, self.plan.make_reference(refinement))))
 
     def _find_mode(self, refinement: int) -> FirstMode | None:
         return find_first_mode(build(make_point_case(self.plan, self.plan.make_reference(refinement))).body)
