@@ -3,12 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.arrays import Floats
+from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import sort_corners
 from pipeline.fem.body import Body, Sites
 from pipeline.fem.frame_error import FrameError, indicator, spurious_volume
@@ -17,14 +16,31 @@ from pipeline.fem.laws import CREASE, Corotational, Law, Linear, Tangent
 from pipeline.fem.mass import MassModel
 from pipeline.fem.supports import Supports
 from pipeline.mesh.element_mesh import ElementMesh
-from pipeline.mesh.simplex import Mesh
+
+
+class KernelSet(NamedTuple):
+    """The modules of kernels of one kind of element; frame errors or tangents that are None are summed by numpy."""
+
+    sums: Any
+    frame_errors: Any
+    tangents: Any
+
+
+def load_kernels(order: int, dimension: int) -> KernelSet | None:
+    """Return the kernels of elements of an order and a dimension, None if there are none."""
+    from pipeline.fem.kernels import frame_error, tangent, tetrahedron, tetrahedron10, triangle
+
+    table = {
+        (1, 2): KernelSet(triangle, triangle, triangle),
+        (1, 3): KernelSet(tetrahedron, frame_error, tangent),
+        (2, 3): KernelSet(tetrahedron10, None, None),
+    }
+    return table.get((order, dimension))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompiledBody(Body):
-    """The same as Body up to rounding; sums over cells with kernels/tetrahedron.py or, in the plane, triangle.py."""
-
-    mesh: Mesh
+    """The same as Body up to rounding; sums over elements with the kernels of its order and dimension."""
 
     @cached_property
     def _rotation(self) -> int:
@@ -33,25 +49,13 @@ class CompiledBody(Body):
         return number
 
     @cached_property
-    def _kernels(self) -> Any:
-        from pipeline.fem.kernels import tetrahedron, triangle
-
-        return tetrahedron if self.mesh.dimension == 3 else triangle
-
-    @cached_property
-    def _frame_error_kernels(self) -> Any:
-        from pipeline.fem.kernels import frame_error, triangle
-
-        return frame_error if self.mesh.dimension == 3 else triangle
-
-    @cached_property
-    def _tangent_kernels(self) -> Any:
-        from pipeline.fem.kernels import tangent, triangle
-
-        return tangent if self.mesh.dimension == 3 else triangle
+    def _modules(self) -> KernelSet:
+        kernels = load_kernels(self.mesh.order, self.mesh.dimension)
+        assert kernels is not None
+        return kernels
 
     def __getstate__(self) -> dict[str, Any]:  # modules cannot be pickled
-        return {name: value for name, value in vars(self).items() if not isinstance(value, ModuleType)}
+        return {name: value for name, value in vars(self).items() if not isinstance(value, KernelSet)}
 
     @cached_property
     def _no_rotations(self) -> Floats:
@@ -59,19 +63,44 @@ class CompiledBody(Body):
 
     @cached_property
     def _cells(self) -> tuple[Any, ...]:
-        """Return the kernels' arguments after x: cells, gradients of all but their first corner, volumes, mu, lam.
+        """Return the kernels' arguments after x: cells, gradients of all but their first node, weights, mu, lam.
 
-        The corners of a cell are in the order of their rows, so that its blocks lie on or below the diagonal. In space
-        the gradients are in blocks of LANES cells (blocks, 9, LANES); copies of the last cell fill the last block.
+        The nodes of a cell are in the order of their rows, so that its blocks lie on or below the diagonal. In space
+        the gradients are in blocks of LANES points (blocks, 3 (k - 1), LANES); copies of the last one fill the last
+        block. Weights are (e,) if the order is 1, else (e, q).
         """
-        m, corners = self.material, sort_corners(self.mesh, self.order)
-        cells = np.take_along_axis(self.mesh.cells, corners, axis=1)
-        G = np.take_along_axis(self.mesh.shape_gradients, corners[:, 1:, None], axis=1)
+        m, (weights, gradients) = self.material, self.mesh.integration
+        cells, gradients = self._sort_nodes(gradients)
         if self.mesh.dimension == 3:
-            lanes = self._kernels.LANES
-            filled = np.minimum(np.arange(-(-len(cells) // lanes) * lanes), len(cells) - 1)
-            cells, G = cells[filled], G[filled].reshape(-1, lanes, 9).swapaxes(1, 2).copy()
-        return (cells.astype(np.int32), G, self.mesh.rest_volumes, m.mu, m.lam)
+            cells, gradients = _fill_lanes(cells, gradients)
+        elif self.mesh.order == 1:
+            gradients = gradients[:, 0]
+        weights = self.mesh.rest_volumes if self.mesh.order == 1 else weights
+        return (cells.astype(np.int32), gradients, weights, m.mu, m.lam)
+
+    @cached_property
+    def _sites(self) -> tuple[Any, ...]:
+        """Return the arguments of the kernel that finds rotations at their sites, between x and the method."""
+        q = self.mesh.integration.weights.shape[1]
+        if self.mesh.order == 1:
+            return self._cells[:2]
+        if self.rotation_at == "points":
+            return (*self._cells[:2], q)
+        weights, gradients = self.mesh.integration
+        mean = np.einsum("eq,eqai->eai", weights / weights.sum(axis=1, keepdims=True), gradients)
+        cells, gradients = _fill_lanes(*self._sort_nodes(mean[:, None]))
+        return (cells.astype(np.int32), gradients, 1)
+
+    def _sort_nodes(self, gradients: Floats) -> tuple[Ints, Floats]:
+        """Return the cells and gradients (e, q, k, d) with nodes sorted by row, without the first one's gradients."""
+        nodes = sort_corners(self.mesh, self.order)
+        cells = np.take_along_axis(self.mesh.cells, nodes, axis=1)
+        return cells, np.take_along_axis(gradients, nodes[:, None, 1:, None], axis=2)
+
+    @cached_property
+    def _element_rotations(self) -> Floats:
+        """Return a buffer for rotations that are one per element."""
+        return np.empty((self.site_count, *self._no_rotations.shape[1:]))
 
     @cached_property
     def _pairs(self) -> np.ndarray:
@@ -80,83 +109,94 @@ class CompiledBody(Body):
     def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
         """Call the kernels of later steps on no cells, which loads or compiles them."""
         super().warm_up(solves=solves)
-        cells, G, V, mu, lam = self._cells
-        X, none, nothing = _to_contiguous(self.mesh.points), (cells[:0], G[:0], V[:0], mu, lam), self._no_rotations
-        self._kernels.energy(X, *none, self._rotation)
+        cells, G, weights, mu, lam = self._cells
+        X, none, nothing = (
+            _to_contiguous(self.mesh.points),
+            (cells[:0], G[:0], weights[:0], mu, lam),
+            self._no_rotations,
+        )
+        self._modules.sums.energy(X, *none, self._rotation)
         f = np.empty_like(X)
         if solves:
-            self._kernels.nodal_rotations(X, *none[:3], nothing)
-            self._kernels.linearize(X, *none, self._rotation, self._pairs[:0], 1.0, False, nothing, f, nothing)
+            self._modules.sums.nodal_rotations(X, *none[:3], nothing)
+            self._modules.sums.linearize(X, *none, self._rotation, self._pairs[:0], 1.0, False, nothing, f, nothing)
         if frame_errors:
-            self._kernels.rotations(X, *none[:2], self._rotation, nothing)
-            self._frame_error_kernels.bound_frame_error(X, *none[:2], mu, lam)
-            self._frame_error_kernels.measure_frame_error(X, *none[:2], mu, lam, nothing, nothing)
+            self.update_rotations(X, nothing)
+            if self._modules.frame_errors is not None:
+                self._modules.frame_errors.bound_frame_error(X, *none[:2], mu, lam)
+                self._modules.frame_errors.measure_frame_error(X, *none[:2], mu, lam, nothing, nothing)
         if tangents or not solves:
-            self._kernels.force(X, *none, self._rotation, f)
-        if tangents:
-            self._tangent_kernels.add_rotation_stiffness(X, *none, self._pairs[:0], 1.0, CREASE, False, nothing)
+            self._modules.sums.force(X, *none, self._rotation, f)
+        if tangents and self._modules.tangents is not None:
+            self._modules.tangents.add_rotation_stiffness(X, *none, self._pairs[:0], 1.0, CREASE, False, nothing)
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, d)."""
-        return float(self._kernels.energy(_to_contiguous(x), *self._cells, self._rotation))
+        if self.site_count < self.mesh.integration.weights.size:
+            return super().energy(x)
+        return float(self._modules.sums.energy(_to_contiguous(x), *self._cells, self._rotation))
 
     def rotations(self, x: Floats) -> Floats:
-        """Return the rotations of the law (e, d, d) at positions x (n, d)."""
-        R = np.empty((len(self.mesh.cells), *self._no_rotations.shape[1:]))
+        """Return the rotations of the law (s, d, d) at positions x (n, d)."""
+        R = np.empty((self.site_count, *self._no_rotations.shape[1:]))
         self.update_rotations(x, R)
         return R
 
     def nodal_rotations(self, x: Floats, out: Floats | None = None) -> Floats:
         """Return for each node the polar rotation of the mean F of its cells (n, d, d)."""
         R = np.empty((len(x), *self._no_rotations.shape[1:])) if out is None else out
-        self._kernels.nodal_rotations(_to_contiguous(x), *self._cells[:3], R)
+        self._modules.sums.nodal_rotations(_to_contiguous(x), *self._cells[:3], R)
         return R
 
     def update_rotations(self, x: Floats, R: Floats) -> float:
-        """Write the rotations of the law into R (e, d, d); return the spurious volume of the largest one."""
-        least_trace = self._kernels.rotations(_to_contiguous(x), *self._cells[:2], self._rotation, R)
+        """Write the rotations of the law into R (s, d, d); return the spurious volume of the largest one."""
+        least_trace = self._modules.sums.rotations(_to_contiguous(x), *self._sites, self._rotation, R)
         return spurious_volume(least_trace, x.shape[1])
 
     def measure_frame_error(self, x: Floats, used: Floats | None, reached: Floats) -> FrameError:
-        """Write the rotations at x into reached (e, d, d); return their frame error from those used."""
-        if self._rotation != POLAR:
+        """Write the rotations at x into reached (s, d, d); return their frame error from those used."""
+        if self._rotation != POLAR or self._modules.frame_errors is None:
             return super().measure_frame_error(x, used, reached)
         cells, G, _, mu, lam = self._cells
         before, d = self._no_rotations if used is None else used, x.shape[1]
-        trace, stress, own = self._frame_error_kernels.measure_frame_error(
+        trace, stress, own = self._modules.frame_errors.measure_frame_error(
             _to_contiguous(x), cells, G, mu, lam, before, reached
         )
         return FrameError(indicator(trace, d, stress, self.material), spurious_volume(own, d))
 
     def bound_frame_error(self, x: Floats) -> float:
         """Return an upper bound on the indicator of measure_frame_error(x, None) that needs no rotations."""
-        if self._rotation != POLAR:
+        if self._rotation != POLAR or self._modules.frame_errors is None:
             return super().bound_frame_error(x)
         cells, G, _, mu, lam = self._cells
-        tangent, stress = self._frame_error_kernels.bound_frame_error(_to_contiguous(x), cells, G, mu, lam)
+        tangent, stress = self._modules.frame_errors.bound_frame_error(_to_contiguous(x), cells, G, mu, lam)
         cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, from the tangent of half of it
         return indicator(2 * cosine + x.shape[1] - 2, x.shape[1], stress, self.material)
 
     def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
         """Return the elastic forces ON the nodes (n, d) [N]; if R is given, with numpy as in Body."""
-        if R is not None:
+        if R is not None or self.site_count < self.mesh.integration.weights.size:
             return super().force(x, R, out=out)
         f = np.empty_like(x) if out is None else out
-        self._kernels.force(_to_contiguous(x), *self._cells, self._rotation, f)
+        self._modules.sums.force(_to_contiguous(x), *self._cells, self._rotation, f)
         return f
 
     def add_stiffness(
         self, x: Floats, scale: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
     ) -> None:
         """Write the elastic forces into f (n, d) and add scale * K to A (blocks, d, d)."""
-        if kind != "frozen" and (R is not None or self._rotation != POLAR):
+        has_kernel = self._rotation == POLAR and self._modules.tangents is not None
+        if kind != "frozen" and (R is not None or not has_kernel):
             super().add_stiffness(x, scale, f, A, R=R, kind=kind)
             return
+        if R is None and self.site_count < self.mesh.integration.weights.size:
+            self.update_rotations(x, self._element_rotations)
+            R = self._element_rotations
         x, used = _to_contiguous(x), self._no_rotations if R is None else _to_contiguous(R)
-        self._kernels.linearize(x, *self._cells, self._rotation, self._pairs, scale, R is not None, used, f, A)
+        self._modules.sums.linearize(x, *self._cells, self._rotation, self._pairs, scale, R is not None, used, f, A)
         if kind != "frozen":
             projected = kind == "projected"
-            self._tangent_kernels.add_rotation_stiffness(x, *self._cells, self._pairs, scale, CREASE, projected, A)
+            self._modules.tangents.add_rotation_stiffness(x, *self._cells, self._pairs, scale, CREASE, projected, A)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -189,6 +229,17 @@ class LinearBody(CompiledBody):
         self.energy(self.mesh.points)
 
 
+def _fill_lanes(cells: Ints, gradients: Floats) -> tuple[Ints, Floats]:
+    """Return cells and gradients (e, q, k - 1, 3) for whole blocks of lanes, those (blocks, 3 (k - 1), LANES)."""
+    from pipeline.fem.kernels.rotation import LANES
+
+    e, q, others, _ = gradients.shape
+    blocks = -(-e * q // LANES)
+    points = np.minimum(np.arange(blocks * LANES), e * q - 1)
+    filled = gradients.reshape(e * q, 3 * others)[points].reshape(blocks, LANES, 3 * others).swapaxes(1, 2).copy()
+    return cells[np.minimum(np.arange(blocks * LANES // q), e - 1)], filled
+
+
 def _to_contiguous(x: Floats) -> Floats:
     """Return x as a contiguous, writable float64 array, the only kind that kernels are compiled for."""
     if x.flags.carray and x.dtype == np.float64:  # np.require takes microseconds for the same check
@@ -213,7 +264,7 @@ def make_body(
     rotation_at: Sites = "points",
 ) -> Body:
     """Return the fastest body for a law; a law without a kernel gets a plain Body."""
-    if isinstance(mesh, Mesh) and find_rotation_number(law) is not None:
+    kind = Body
+    if load_kernels(mesh.order, mesh.dimension) is not None and find_rotation_number(law) is not None:
         kind = LinearBody if isinstance(law, Linear) else CompiledBody
-        return kind(mesh, law, supports, load, mass_model, varying_load)
-    return Body(mesh, law, supports, load, mass_model, varying_load, rotation_at)
+    return kind(mesh, law, supports, load, mass_model, varying_load, rotation_at)

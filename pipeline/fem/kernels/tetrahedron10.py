@@ -1,0 +1,218 @@
+"""Compiled kernels for tetrahedra of order 2 with the corotational or the linear law, on one thread.
+
+Names and arguments are those of tetrahedron.py, whose stresses they use, but lanes are integration points: LANES at
+once, q per cell, where `weights` (e, q) are w_q and G (blocks, 27, LANES) their gradients: entry 3 a + j is component j
+at node a + 1. LANES is a multiple of q, so that no cell is split between blocks of lanes.
+
+Rotations are one per point, or one per cell if there are only e of them.
+"""
+
+import numpy as np
+from numba import njit
+
+from pipeline.fem.kernels.rotation import (
+    LANES,
+    allocate_lanes,
+    find_rotations,
+    polar_rotations,
+    store_lanes,
+)
+from pipeline.fem.kernels.tetrahedron import compute_stresses
+
+NODES = 10
+_ENTRIES = 3 * (NODES - 1)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def compute_gradients(x, cells, G, first, q, D, F):
+    """Write F = sum_a (x_a - x_0) (x) grad N_a of LANES points from `first` on into F (9, LANES).
+
+    The differences D (27, LANES) are scratch.
+    """
+    for c in range(LANES // q):
+        cell = cells[first // q + c]
+        x0, x1, x2 = x[cell[0], 0], x[cell[0], 1], x[cell[0], 2]
+        for a in range(NODES - 1):
+            n = cell[a + 1]
+            d0, d1, d2 = x[n, 0] - x0, x[n, 1] - x1, x[n, 2] - x2
+            for l in range(c * q, (c + 1) * q):
+                D[3 * a, l], D[3 * a + 1, l], D[3 * a + 2, l] = d0, d1, d2
+    F[:] = 0.0
+    for a in range(NODES - 1):
+        for i in range(3):
+            for j in range(3):
+                for l in range(LANES):
+                    F[3 * i + j, l] += D[3 * a + i, l] * G[3 * a + j, l]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def energy(x, cells, G, weights, mu, lam, rotation):
+    """Return sum w W(F)."""
+    F, R, P, W, root, good, C = allocate_lanes()
+    D, (e, q), total = np.zeros((_ENTRIES, LANES)), weights.shape, 0.0
+    for first in range(0, e * q, LANES):
+        count = min(LANES, e * q - first)
+        compute_gradients(x, cells, G[first // LANES], first, q, D, F)
+        find_rotations(rotation, F, count, R, root, good, C)
+        compute_stresses(F, R, mu, lam, P, W)
+        for l in range(count):
+            p = first + l
+            total += weights[p // q, p % q] * W[l]
+    return total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _scatter_forces(cells, G, weights, P, first, count, D, f):
+    """Add -w P grad N_a to the forces at the nodes of `count` points, whose sum over each cell is zero."""
+    q = weights.shape[1]
+    for l in range(count):
+        w = weights[(first + l) // q, (first + l) % q]
+        for k in range(9):
+            P[k, l] *= w
+    for a in range(NODES - 1):
+        for i in range(3):
+            for l in range(LANES):
+                D[3 * a + i, l] = (
+                    P[3 * i, l] * G[3 * a, l] + P[3 * i + 1, l] * G[3 * a + 1, l] + P[3 * i + 2, l] * G[3 * a + 2, l]
+                )
+    for c in range(count // q):
+        cell = cells[first // q + c]
+        for i in range(3):
+            last = 0.0
+            for a in range(NODES - 1):
+                total = 0.0
+                for l in range(c * q, (c + 1) * q):
+                    total += D[3 * a + i, l]
+                f[cell[a + 1], i] -= total
+                last += total
+            f[cell[0], i] += last
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def force(x, cells, G, weights, mu, lam, rotation, f):
+    """Write f_a = -sum w P grad N_a into f (n, 3)."""
+    f[:] = 0.0
+    F, R, P, W, root, good, C = allocate_lanes()
+    D, (e, q) = np.zeros((_ENTRIES, LANES)), weights.shape
+    for first in range(0, e * q, LANES):
+        count = min(LANES, e * q - first)
+        compute_gradients(x, cells, G[first // LANES], first, q, D, F)
+        find_rotations(rotation, F, count, R, root, good, C)
+        compute_stresses(F, R, mu, lam, P, W)
+        _scatter_forces(cells, G[first // LANES], weights, P, first, count, D, f)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _rotate_gradients(G, R, g):
+    """Write R grad N_a of every point into g (30, LANES): entry 3 a + i; those of the first node close the sum."""
+    for i in range(3):
+        for l in range(LANES):
+            g[i, l] = 0.0
+        for a in range(NODES - 1):
+            for l in range(LANES):
+                g[3 * a + 3 + i, l] = (
+                    R[3 * i, l] * G[3 * a, l] + R[3 * i + 1, l] * G[3 * a + 1, l] + R[3 * i + 2, l] * G[3 * a + 2, l]
+                )
+                g[i, l] -= g[3 * a + 3 + i, l]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _scatter_stiffness(g, weights, first, mu, lam, blocks, T, A):
+    """Add mu tr(T_ab) I + mu T_ab^T + lam T_ab to the blocks (a, b <= a) of a cell, T_ab = sum w g_a (x) g_b.
+
+    g (30, q) are the rotated gradients at the points of the cell, T (30, 30) is scratch.
+    """
+    for r in range(3 * NODES):
+        columns = 3 * (r // 3) + 3
+        for c in range(columns):
+            T[r, c] = 0.0
+        for l in range(len(weights)):
+            factor = weights[l] * g[r, first + l]
+            for c in range(columns):
+                T[r, c] += factor * g[c, first + l]
+    k = 0
+    for a in range(NODES):
+        for b in range(a + 1):
+            block = A[blocks[k]]
+            k += 1
+            i, j = 3 * a, 3 * b
+            dot = mu * (T[i, j] + T[i + 1, j + 1] + T[i + 2, j + 2])
+            for m in range(3):
+                for n in range(3):
+                    block[m, n] += lam * T[i + m, j + n] + mu * T[i + n, j + m]
+                block[m, m] += dot
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _load_rotations(Rs, first, count, q, R):
+    """Copy the rotations Rs (s, 3, 3) of `count` points into lanes (9, LANES); s counts points, or cells of q each."""
+    for l in range(count):
+        site = Rs[(first + l) // q]
+        for i in range(3):
+            for j in range(3):
+                R[3 * i + j, l] = site[i, j]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def linearize(x, cells, G, weights, mu, lam, rotation, pairs, scale, has_rotations, Rs, f, A):
+    """Write the forces into f (n, 3) and add scale times the frozen stiffness to A (blocks, 3, 3).
+
+    The rotations are Rs (s, 3, 3) if has_rotations, else those of x.
+    """
+    f[:] = 0.0
+    F, R, P, W, root, good, C = allocate_lanes()
+    D, (e, q) = np.zeros((_ENTRIES, LANES)), weights.shape
+    g, T = np.zeros((3 * NODES, LANES)), np.zeros((3 * NODES, 3 * NODES))
+    for first in range(0, e * q, LANES):
+        count = min(LANES, e * q - first)
+        compute_gradients(x, cells, G[first // LANES], first, q, D, F)
+        if has_rotations:
+            _load_rotations(Rs, first, count, q if len(Rs) == e else 1, R)
+        else:
+            find_rotations(rotation, F, count, R, root, good, C)
+        compute_stresses(F, R, mu, lam, P, W)
+        _scatter_forces(cells, G[first // LANES], weights, P, first, count, D, f)
+        _rotate_gradients(G[first // LANES], R, g)
+        for c in range(count // q):
+            n = first // q + c
+            _scatter_stiffness(g, weights[n], c * q, scale * mu, scale * lam, pairs[n], T, A)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def rotations(x, cells, G, q, rotation, R):
+    """Write the rotation of every point's F into R (e q, 3, 3); return the smallest trace.
+
+    With the mean gradients of cells and q = 1 these are the rotations of cells.
+    """
+    F, Q, _, _, root, good, C = allocate_lanes()
+    D, least = np.zeros((_ENTRIES, LANES)), 3.0
+    for first in range(0, len(R), LANES):
+        count = min(LANES, len(R) - first)
+        compute_gradients(x, cells, G[first // LANES], first, q, D, F)
+        find_rotations(rotation, F, count, Q, root, good, C)
+        store_lanes(Q, first, count, R)
+        for l in range(count):
+            least = min(least, Q[0, l] + Q[4, l] + Q[8, l])
+    return least
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def nodal_rotations(x, cells, G, weights, R):
+    """Write into R (n, 3, 3) the polar rotation of each node's sum of w F."""
+    R[:] = 0.0
+    F, D, total = np.zeros((9, LANES)), np.zeros((_ENTRIES, LANES)), np.zeros(9)
+    e, q = weights.shape
+    for first in range(0, e * q, LANES):
+        compute_gradients(x, cells, G[first // LANES], first, q, D, F)
+        for c in range(min(LANES, e * q - first) // q):
+            n = first // q + c
+            total[:] = 0.0
+            for l in range(q):
+                for k in range(9):
+                    total[k] += weights[n, l] * F[k, c * q + l]
+            for a in range(NODES):
+                node = R[cells[n, a]]
+                for i in range(3):
+                    for j in range(3):
+                        node[i, j] += total[3 * i + j]
+    polar_rotations(R, R)
