@@ -48,7 +48,7 @@ class CellMesh:
                 f"{'volume' if self.dimension == 3 else 'area'} {self.rest_volumes[bad[0]]:.3g}; "
                 "reorient or remove them"
             )
-        object.__setattr__(self, "notes", (*self.notes, *_list_notes(self)))
+        object.__setattr__(self, "notes", (*self.notes, *list_shape_notes(self)))
         self.points.setflags(write=False)
 
     def __repr__(self) -> str:
@@ -193,7 +193,7 @@ def _check_layout(mesh: CellMesh) -> None:
         raise MeshError(f"{name}: cell {first} ({TYPES[other[0]].name}) is not of dimension {mesh.dimension}")
 
 
-def _list_notes(mesh: CellMesh) -> tuple[str, ...]:
+def list_shape_notes(mesh: CellMesh) -> tuple[str, ...]:
     """Return notes on cells that are folded or degenerate at rest."""
     nothing = [np.zeros(0, dtype=np.int64)]
     folded = np.concatenate(nothing + [rest.block.cells[rest.folded_cells] for rest in mesh.rest_blocks])
