@@ -4,6 +4,9 @@ Each node of a large mesh joins a group with its neighbors, and a group moves li
 space, smoothed by one Jacobi step (Vanek, Mandel and Brezina 1996). With the prolongation P its matrix is P^T A P.
 Groups form groups again until a band is small. On each level a cycle does a Gauss-Seidel sweep forward before the
 correction and one backward after it, which makes it symmetric. Cycles work in single precision: they only precondition.
+
+In a mesh of order 2 the first coarse space is that of order 1 on the corners instead: a node of a side moves with the
+mean of its ends. Groups of all its nodes at once would need 25 to 28 iterations in place of 15.
 """
 
 from collections.abc import Callable
@@ -12,7 +15,7 @@ import numpy as np
 from scipy.linalg.lapack import spbtrs
 from scipy.sparse import bsr_array, csr_array
 
-from pipeline.arrays import Floats, Singles
+from pipeline.arrays import Floats, Ints, Singles
 from pipeline.errors import SolveError
 from pipeline.fem.assembly import BlockPattern
 from pipeline.linear.band import Band
@@ -41,11 +44,12 @@ def make_rigid_modes(points: Floats) -> Floats:
 class Cycle:
     """An approximate A^-1 for a symmetric positive definite A of d x d blocks that nearly maps its modes to zero.
 
-    Modes are (n, d, m); nodes join groups along the edges of the graph, by default the blocks of A.
+    Modes are (n, d, m); nodes join groups along the edges of the graph, by default the blocks of A. With the `ends`
+    (n, 2) of the sides that nodes of order 2 lie on there are no groups, but the corners; see RestState.
     """
 
-    def __init__(self, A: bsr_array, modes: Floats, graph: csr_array | None = None) -> None:
-        n, d, m = modes.shape
+    def __init__(self, A: bsr_array, modes: Floats, graph: csr_array | None = None, ends: Ints | None = None) -> None:
+        n, d = modes.shape[:2]
         pattern, values = _split_lower(A)
         try:
             inverses = np.asarray(np.linalg.inv(values[pattern.diagonal]), np.float64)
@@ -53,17 +57,22 @@ class Cycle:
             raise SolveError("a diagonal block of the system's matrix is singular") from error
         self._A = pattern.indptr.astype(np.int32), pattern.indices.astype(np.int32), values.astype(np.float32)
         self._A[2][pattern.diagonal] = inverses
-        if graph is None:
-            graph = csr_array((np.ones(len(A.indices), dtype=np.float32), A.indices, A.indptr), shape=(n, n))
-        group = _group_nodes(graph)
-        P, coarse_modes = _make_prolongation(A, inverses, modes, group)
+        corners = np.empty(0, dtype=np.int64) if ends is None else _find_corners(ends)
+        if ends is None or not corners.size:  # a body may have all its corners held
+            if graph is None:
+                graph = csr_array((np.ones(len(A.indices), dtype=np.float32), A.indices, A.indptr), shape=(n, n))
+            group = _group_nodes(graph)
+            P, coarse_modes = _make_prolongation(A, inverses, modes, group)
+            member = csr_array((np.ones(n, dtype=np.float32), group, np.arange(n + 1)))
+            coarse_graph = (member.T @ graph @ member).tocsr()
+        else:
+            P = _interpolate_sides(ends, corners, d)
+            coarse_modes, coarse_graph = modes[corners], None
         self._P = P.indptr.astype(np.int32), P.indices.astype(np.int32), P.data.astype(np.float32)
-        member = csr_array((np.ones(n, dtype=np.float32), group, np.arange(n + 1)))
-        self._solve_below = _make_coarse_solver(
-            (P.T @ (A @ P)).tobsr((m, m)), coarse_modes, (member.T @ graph @ member).tocsr()
-        )
+        c = P.blocksize[1]
+        self._solve_below = _make_coarse_solver((P.T @ (A @ P)).tobsr((c, c)), coarse_modes, coarse_graph)
         self._x, self._residual = np.empty((2, n, d), dtype=np.float32)
-        self._coarse = np.empty((len(coarse_modes), m), dtype=np.float32)
+        self._coarse = np.empty((len(coarse_modes), c), dtype=np.float32)
 
     def __call__(self, r: Singles) -> Singles:
         """Return approximately A^-1 r for r (n, d), in an array that the next call overwrites."""
@@ -78,7 +87,7 @@ class Cycle:
         return self._x
 
 
-def _make_coarse_solver(A: bsr_array, modes: Floats, graph: csr_array) -> Callable[[Singles], Singles]:
+def _make_coarse_solver(A: bsr_array, modes: Floats, graph: csr_array | None) -> Callable[[Singles], Singles]:
     """Return a solver of a coarse matrix: the factor of its band if that is small, else a cycle."""
     pattern, values = _split_lower(A)
     band = Band(pattern)
@@ -118,6 +127,23 @@ def _make_prolongation(A: bsr_array, inverses: Floats, modes: Floats, group: np.
     P.data[:] = -4 / (3 * _estimate_largest_eigenvalue(A, inverses)) * (inverses[rows] @ P.data)
     P.data[P.indices == group[rows]] += T
     return P, np.where(exists, root, 0.0)[:, :, None] * np.swapaxes(V, 1, 2)
+
+
+def _find_corners(ends: Ints) -> Ints:
+    """Return the nodes that are their own ends (n, 2)."""
+    return np.flatnonzero((ends == np.arange(len(ends))[:, None]).all(axis=1))
+
+
+def _interpolate_sides(ends: Ints, corners: Ints, d: int) -> bsr_array:
+    """Return the P that gives every node the mean motion of its ends (n, 2), which are corners, or -1 if held."""
+    n, c = len(ends), len(corners)
+    number = np.full(n + 1, -1)  # the last one is that of a held end
+    number[corners] = np.arange(c)
+    rows, columns = np.repeat(np.arange(n), 2), number[ends].ravel()
+    free = columns >= 0
+    weights = csr_array((np.full(int(free.sum()), 0.5), (rows[free], columns[free])), shape=(n, c))
+    blocks = weights.data[:, None, None] * np.eye(d)
+    return bsr_array((blocks, weights.indices, weights.indptr), shape=(n * d, c * d))
 
 
 def _estimate_largest_eigenvalue(A: bsr_array, inverses: Floats) -> float:

@@ -141,7 +141,8 @@ def make_warped_cg(systems: SystemSettings) -> ConjugateGradients:
 
 def make_multigrid_cg(systems: SystemSettings) -> ConjugateGradients:
     """Return conjugate gradients with the rotated multigrid cycle of the rest state."""
-    pattern, points = systems.pattern, systems.rest.points
-    cycle = Cycle(pattern.matrix(systems.rest.assemble()), make_rigid_modes(points))
+    pattern, points, find_ends = systems.pattern, systems.rest.points, systems.rest.find_ends
+    ends = None if find_ends is None else find_ends()
+    cycle = Cycle(pattern.matrix(systems.rest.assemble()), make_rigid_modes(points), ends=ends)
     factor = RestFactor("multigrid", np.arange(pattern.nodes), lambda b: cycle(b.reshape(points.shape)).reshape(-1))
     return ConjugateGradients(systems, RotatedFactor(pattern, factor))

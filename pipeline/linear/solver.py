@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
-from pipeline.arrays import Floats
+from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import BlockPattern
 from pipeline.linear.band import Band
 from pipeline.linear.work import Work
@@ -30,10 +30,15 @@ class LinearSolver(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RestState:
-    """The body at rest: its free nodes (n, d) [m], and a function that assembles the values of A_0 (blocks, d, d)."""
+    """The body at rest: its free nodes (n, d) [m], and a function that assembles the values of A_0 (blocks, d, d).
+
+    In a mesh of order 2 `find_ends` returns the ends (n, 2) of the side that each free node is on: a corner twice for
+    the corner itself, and -1 for an end that is held.
+    """
 
     points: Floats
     assemble: Callable[[], Floats]
+    find_ends: Callable[[], Ints] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
 from pipeline.formats.grid import CellArray
 from pipeline.mesh.cell_mesh import CellMesh
+from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.integration import Integration, integrate_cells, integrate_products
 from pipeline.mesh.node_order import SIMPLEX_EDGES
 from pipeline.mesh.quadrature import find_mass_quadrature, find_stress_quadrature
@@ -115,3 +116,10 @@ def find_sides(cells: Ints) -> tuple[Ints, Ints]:
     n = int(cells.max()) + 1
     keys, sides = np.unique(pairs[:, 0] * n + pairs[:, 1], return_inverse=True)
     return np.stack([keys // n, keys % n], axis=1), sides.reshape(len(cells), -1)
+
+
+def find_side_ends(mesh: ElementMesh) -> Ints:
+    """Return the two corners between which every node of a mesh of order 2 lies (n, 2); of a corner, itself twice."""
+    ends = np.repeat(np.arange(len(mesh.points))[:, None], 2, axis=1)
+    ends[mesh.cells[:, mesh.dimension + 1 :]] = mesh.cells[:, SIMPLEX_EDGES[mesh.dimension]]
+    return ends

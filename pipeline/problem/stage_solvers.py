@@ -5,7 +5,7 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.arrays import Floats
+from pipeline.arrays import Floats, Ints
 from pipeline.case import MethodSpec
 from pipeline.fem.body import Body
 from pipeline.fem.compiled_body import make_body
@@ -16,6 +16,7 @@ from pipeline.linear.choice import choose_solver
 from pipeline.linear.pardiso import load_mkl
 from pipeline.linear.rest_preconditioner import choose_rest_factor
 from pipeline.linear.solver import LinearSolver, RestState, SystemSettings
+from pipeline.mesh.quadratic import find_side_ends
 from pipeline.problem.methods import INVERSIONS, LINEAR_SOLVERS, STEPPERS, find_traits
 from pipeline.stepping.auto import Auto
 from pipeline.stepping.energy_guard import EnergyGuard
@@ -117,4 +118,10 @@ def _describe_systems(body: Body, h: float, method: MethodSpec) -> SystemSetting
         body.assemble_system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
         return A[: body.free_pattern.blocks]
 
-    return SystemSettings(body.free_pattern, method.linear_rtol, RestState(body.mesh.points[body.free], assemble))
+    def find_ends() -> Ints:
+        number = np.full(len(body.mesh.points), -1)
+        number[body.free] = np.arange(len(body.free))
+        return number[find_side_ends(body.mesh)[body.free]]
+
+    rest = RestState(body.mesh.points[body.free], assemble, find_ends if body.mesh.order == 2 else None)
+    return SystemSettings(body.free_pattern, method.linear_rtol, rest)
