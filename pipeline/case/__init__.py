@@ -1,25 +1,11 @@
 """A TOML file becomes a validated, frozen Case with overrides and variants; no numerics are imported here."""
 
-from pipeline.case.keys import (
-    BodyForceSpec,
-    HalfSpaceSpec,
-    InitialSpec,
-    LoadsSpec,
-    MaterialSpec,
-    MeshSpec,
-    MethodSpec,
-    MotionSpec,
-    MovieSpec,
-    OutputSpec,
-    ScheduleSpec,
-    SelectorSpec,
-    SphereSpec,
-    SpinSpec,
-    SupportSpec,
-    TractionSpec,
-)
+from pipeline.case.keys import MaterialSpec, MeshSpec, MethodSpec, MovieSpec, OutputSpec, ScheduleSpec
+from pipeline.case.loads import BodyForceSpec, LoadsSpec, TractionSpec
 from pipeline.case.model import Case, load_case
+from pipeline.case.motions import InitialSpec, MotionSpec, SpinSpec, SupportSpec
 from pipeline.case.overrides import parse_override
+from pipeline.case.selectors import HalfSpaceSpec, SelectorSpec, SphereSpec
 
 __all__ = [
     "BodyForceSpec",

@@ -5,40 +5,26 @@ Names of laws, steppers and shapes are not checked here: the tables in problem/m
 
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
-    model_validator,
-)
-from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema
-from pydantic_core.core_schema import no_info_before_validator_function
+from pydantic import model_validator
 
+from pipeline.case.loads import LoadsSpec
+from pipeline.case.motions import InitialSpec, SupportSpec
 from pipeline.case.python_values import PythonValue
+from pipeline.case.spec import Spec, about
 from pipeline.case.values import (
-    AxisName,
     Count,
     Counts,
-    Direction,
     ElementOrder,
-    FiniteNumber,
     FolderName,
     Fraction,
     FrameRate,
     Iterations,
-    Length,
     Lengths,
-    NodeNumbers,
     OneOf,
     PictureSize,
     PoissonRatio,
     Positive,
     Text,
-    Vector,
     check_folder_name,
     make_fault,
 )
@@ -47,22 +33,6 @@ from pipeline.system.times import count_intervals
 
 VARIANT_SECTIONS = ("mesh", "material", "supports", "loads", "initial", "method", "schedule", "output")
 ONLY_VARIANT = "default"
-
-
-def about(description: str, unit: str | None = None) -> FieldInfo:
-    """Return the metadata of a key: its sentence and its unit, for the JSON Schema and the docs."""
-    extra = None if unit is None else {"unit": unit}
-    return Field(description=description, json_schema_extra=extra)  # type: ignore[arg-type]  # its JSON type is invariant
-
-
-class Spec(BaseModel):
-    """A table of the case file: frozen, with known keys only."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    def derived_keys(self) -> frozenset[str]:
-        """Return the attributes that follow from others and so are not written to a file."""
-        return frozenset()
 
 
 class MeshSpec(Spec):
@@ -108,159 +78,6 @@ class MaterialSpec(Spec):
     youngs_modulus: Annotated[Positive, about("Young's modulus", "Pa")]
     poisson_ratio: Annotated[PoissonRatio, about("Poisson's ratio, above -1 and below 0.5")]
     density: Annotated[Positive, about("mass per rest volume", "kg/m3")]
-
-
-class SphereSpec(Spec):
-    """A ball."""
-
-    center: Annotated[Vector, about("center of the ball", "m")]
-    radius: Annotated[Positive, about("radius of the ball", "m")]
-
-
-class HalfSpaceSpec(Spec):
-    """Everything on one side of a plane."""
-
-    axis: Annotated[AxisName, about("axis that the plane is perpendicular to")]
-    at: Annotated[FiniteNumber, about("position of the plane along the axis", "m")]
-
-
-class SpinSpec(Spec):
-    """A rotation about an axis."""
-
-    axis: Annotated[Direction, about("direction of the axis; along z for a planar mesh")]
-    rate: Annotated[FiniteNumber, about("angular velocity", "degree/s")]
-    center: Annotated[Vector | None, about("a point on the axis; the center of mass for a free body", "m")] = None
-
-
-class MotionSpec(Spec):
-    """The motion of supported nodes: a velocity, a spin, or both; or a function from Python."""
-
-    velocity: Annotated[Vector | None, about("velocity of the nodes", "m/s")] = None
-    spin: Annotated[SpinSpec | None, about("rotation of the nodes about an axis; needs a center")] = None
-    displacement: Annotated[
-        PythonValue | None, about("displacement as a function of X and t, given in Python", "m")
-    ] = None
-
-    @model_validator(mode="after")
-    def _check_motion(self) -> "MotionSpec":
-        rigid = self.velocity is not None or self.spin is not None
-        if not rigid and self.displacement is None:
-            raise make_fault("neither velocity nor spin is given")
-        if rigid and self.displacement is not None:
-            raise make_fault("cannot be combined with velocity or spin", "displacement")
-        return self
-
-
-def _check_box(corners: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-    low, high = corners
-    if len(low) != len(high):
-        raise make_fault(f"corners have {len(low)} and {len(high)} entries")
-    if any(a > b for a, b in zip(low, high, strict=True)):
-        raise make_fault(
-            f"{quote_value(list(low))} is not below {quote_value(list(high))}; write [[lowest], [highest]]"
-        )
-    return corners
-
-
-Box = Annotated[tuple[Vector, ...], Length(2, 2), AfterValidator(_check_box)]
-
-
-class SelectorSpec(Spec):
-    """A set of nodes, chosen by exactly one of plane (with at), box, sphere, below, above or nodes."""
-
-    plane: Annotated[AxisName | None, about("nodes in the plane perpendicular to this axis; requires the key at")] = (
-        None
-    )
-    at: Annotated[FiniteNumber | None, about("position of the plane along its axis, after scaling", "m")] = None
-    box: Annotated[Box | None, about("nodes in a box, given as [[lowest corner], [highest corner]]", "m")] = None
-    sphere: Annotated[SphereSpec | None, about("nodes in a ball")] = None
-    below: Annotated[HalfSpaceSpec | None, about("nodes below a plane")] = None
-    above: Annotated[HalfSpaceSpec | None, about("nodes above a plane")] = None
-    nodes: Annotated[NodeNumbers | None, about("node numbers, counted from 0")] = None
-
-    @model_validator(mode="after")
-    def _check_selector(self) -> "SelectorSpec":
-        kinds = ("plane", "box", "sphere", "below", "above", "nodes")
-        chosen = [kind for kind in kinds if getattr(self, kind) is not None]
-        if self.at is not None and not chosen:
-            raise make_fault("needs plane, which is not given", "at")
-        if not chosen:
-            raise make_fault(f"no selector; give one of {', '.join(kinds)}")
-        if len(chosen) > 1:
-            raise make_fault(f"{chosen[0]} and {chosen[1]} cannot be combined")
-        if (self.plane is None) != (self.at is None):
-            raise make_fault("missing" if self.at is None else "needs plane, which is not given", "at")
-        return self
-
-
-class SupportSpec(SelectorSpec):
-    """Nodes that are held, or moved."""
-
-    motion: Annotated[MotionSpec | None, about("how the nodes move; without it they stay at rest")] = None
-
-
-class TractionSpec(SelectorSpec):
-    """A traction on the boundary faces whose nodes are all selected."""
-
-    normal_traction: Annotated[FiniteNumber, about("traction along the outward normal of the rest surface", "Pa")]
-
-
-class BodyForceSpec(Spec):
-    """A force per volume."""
-
-    value: Annotated[Vector, about("force per rest volume", "N/m3")]
-    factor: Annotated[FiniteNumber, about("factor by which value is multiplied")] = 1.0
-
-
-class BareVector:
-    """Annotation of a table that may be written as a bare vector, its `value`."""
-
-    def check(self, value: Any) -> Any:
-        """Return the table, made from the vector if only that is written."""
-        return {"value": value} if isinstance(value, list | tuple) else value
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return no_info_before_validator_function(self.check, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        vector = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 3}
-        return {"anyOf": [vector, *handler(schema)["anyOf"]]}
-
-
-class LoadsSpec(Spec):
-    """Dead loads: they do not follow the deformation."""
-
-    gravity: Annotated[Vector | None, about("acceleration due to gravity", "m/s2")] = None
-    body_force: Annotated[
-        BodyForceSpec | None,
-        BareVector(),
-        about("force per rest volume: a vector, or a table with value and factor", "N/m3"),
-    ] = None
-    traction: Annotated[tuple[TractionSpec, ...], about("tractions on parts of the boundary")] = ()
-    body_force_field: Annotated[
-        PythonValue | None, about("force per rest volume at the nodes, an array or a function of X and t", "N/m3")
-    ] = None
-    nodal_forces: Annotated[
-        PythonValue | None, about("forces on the nodes, an array or a function of X and t", "N")
-    ] = None
-
-
-class InitialSpec(Spec):
-    """The initial motion; the body starts at its rest positions."""
-
-    velocity: Annotated[Vector | None, about("initial velocity of the free nodes", "m/s")] = None
-    spin: Annotated[SpinSpec | None, about("initial rotation, added to the velocity")] = None
-    factor: Annotated[FiniteNumber, about("factor by which velocity and spin are multiplied")] = 1.0
-    velocity_field: Annotated[
-        PythonValue | None,
-        about("initial velocity of every node, an array from Python; cannot be combined with velocity", "m/s"),
-    ] = None
-
-    @model_validator(mode="after")
-    def _check_velocity(self) -> "InitialSpec":
-        if self.velocity is not None and self.velocity_field is not None:
-            raise make_fault("velocity and velocity_field cannot be combined")
-        return self
 
 
 class MethodSpec(Spec):
@@ -358,7 +175,7 @@ class CaseFile(Spec):
     movie: Annotated[MovieSpec, about("comparison movie")] = MovieSpec()
     variants: Annotated[
         dict[str, dict[str, Any]], about("named changes to this case: dotted keys in quotes with their new values")
-    ] = {}
+    ] = {}  # noqa: RUF012  (pydantic copies it)
 
     @model_validator(mode="after")
     def _check_movie(self) -> "CaseFile":

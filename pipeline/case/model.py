@@ -10,10 +10,11 @@ import tomli_w
 from pydantic import ValidationError
 
 from pipeline.case.document import read_document
-from pipeline.case.keys import ONLY_VARIANT, CaseFile, MovieSpec, Spec
+from pipeline.case.keys import ONLY_VARIANT, CaseFile, MovieSpec
 from pipeline.case.messages import describe_first_fault, name_faulty_key
 from pipeline.case.overrides import apply_override, list_dropped_keys
 from pipeline.case.python_values import PythonValue
+from pipeline.case.spec import Spec
 from pipeline.case.values import join_key
 from pipeline.errors import CaseError, join_names, quote_value
 
