@@ -14,6 +14,8 @@ from pipeline.fem.body import Body
 from pipeline.fem.compiled_body import make_body
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports, rotation_about
+from pipeline.mesh.element_mesh import ElementMesh
+from pipeline.mesh.quadratic import QuadraticMesh, find_sides, make_quadratic_mesh, raise_order
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.methods import LAWS, MASSES, ROTATIONS
@@ -34,12 +36,32 @@ BOXES = {
 }
 
 
+def bend_sides(mesh: QuadraticMesh, amount: float = 0.06) -> QuadraticMesh:
+    """The mesh with the nodes in the middle of its sides moved by up to `amount` of the side along each axis."""
+    ends, sides = find_sides(mesh.cells[:, : mesh.dimension + 1])
+    middle = np.empty(len(ends), dtype=np.int64)
+    middle[sides] = mesh.cells[:, mesh.dimension + 1 :]
+    lengths = np.linalg.norm(np.diff(mesh.points[ends], axis=1), axis=2)
+    points = mesh.points.copy()
+    points[middle] += amount * lengths * np.random.default_rng(6).uniform(-1, 1, (len(middle), mesh.dimension))
+    return make_quadratic_mesh(points, mesh.cells, mesh.name)
+
+
+# as BOXES, of order 2
+QUADRATIC = {
+    "tetrahedra": raise_order(BOXES["tetrahedra"]),
+    "triangles": raise_order(BOXES["triangles"]),
+    "curved tetrahedra": bend_sides(raise_order(BOXES["tetrahedra"])),
+    "curved triangles": bend_sides(raise_order(BOXES["triangles"])),
+}
+
+
 def make_thesis_bar(split: str = "kuhn") -> Mesh:
     return box((4.0, 12.0, 4.0), (2, 8, 2), split)
 
 
 def make_solid(
-    mesh: Mesh,
+    mesh: ElementMesh,
     law: str = "linear",
     rotation: str = "polar",
     *,
@@ -47,12 +69,12 @@ def make_solid(
     held: Iterable[int] = (),
     load: np.ndarray | None = None,
     mass: str = "consistent",
+    rotation_at: str = "points",
 ) -> Body:
     nodes = np.array(list(held), dtype=np.int64)
     force = np.zeros_like(mesh.points) if load is None else load
-    return make_body(
-        mesh, LAWS[law].part(material, ROTATIONS[rotation].part), Supports(nodes), force, MASSES[mass].part
-    )
+    parts = (LAWS[law].part(material, ROTATIONS[rotation].part), Supports(nodes), force, MASSES[mass].part)
+    return make_body(mesh, *parts, rotation_at=rotation_at)  # type: ignore[arg-type]  # the two names of the case
 
 
 def make_clamped_bar(**keywords: object) -> Body:
@@ -64,6 +86,14 @@ def prepare_stepper(body: Body, dt: float, **method: object) -> Stepper:
     """A stepper of the method; backward Euler unless `stepper` names another."""
     spec = MethodSpec(**method)  # type: ignore[arg-type]  # pydantic checks them
     return make_stepper(body, dt, spec)
+
+
+def find_equilibrium(body: Body) -> np.ndarray:
+    """The positions at rest under the body's load: steps of backward Euler so long that inertia does not count."""
+    v = np.zeros_like(body.mesh.points)
+    *_, before, last = list_states(body, 1e5, 12, v, iterations="converged")
+    assert np.abs(last.x - before.x).max() < 1e-6 * body.mesh.size
+    return last.x
 
 
 def list_states(body: Body, dt: float, steps: int, v: np.ndarray, x: np.ndarray | None = None, **method) -> list[State]:

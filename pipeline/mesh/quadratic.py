@@ -24,18 +24,25 @@ _STRAIGHT = 1e-9  # of a side: the distance of its node from its middle
 
 @dataclass(frozen=True, eq=False, repr=False)
 class QuadraticMesh(CellMesh):
-    """A rest mesh of order 2 that can be solved; its integration points must not be folded. See ElementMesh."""
+    """A rest mesh of order 2 that can be solved; its cells must not be folded. See ElementMesh."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.points.shape[1] != self.dimension or not np.isin(self.cell_array.types, _TYPES[self.dimension]).all():
             raise MeshError(f"{self.name}: its cells are not quadratic tetrahedra or planar quadratic triangles")
-        folded = np.flatnonzero((self.integration.weights <= 0).any(axis=1))
+        folded = self._find_folded()
         if folded.size:
             raise MeshError(
                 f"{self.name}: {folded.size} curved cells are folded, first {folded[0]}; move the nodes in the middle "
                 "of their sides back, or take mesh.order = 1"
             )
+
+    def _find_folded(self) -> Ints:
+        """Return the cells whose map has a determinant below zero at a node, or not above it at a point of stress."""
+        if self.is_straight:
+            return np.empty(0, dtype=np.int64)  # their determinants are constant, and their volumes were checked
+        at_points = np.flatnonzero((self.integration.weights <= 0).any(axis=1))
+        return np.unique(np.concatenate([at_points, *(b.block.cells[b.folded_cells] for b in self.rest_blocks)]))
 
     def __repr__(self) -> str:
         return f"<QuadraticMesh {self.name}: {len(self.points)} nodes, {len(self.cells)} cells, {self.dimension}D>"
@@ -64,7 +71,7 @@ class QuadraticMesh(CellMesh):
 
     @cached_property
     def integration(self) -> Integration:
-        """Return the points at which stresses are integrated: more of them if cells are curved."""
+        """Return the points at which stresses are integrated: more of them if tetrahedra are curved."""
         rule = find_stress_quadrature(self.dimension, is_straight=self.is_straight)
         return integrate_cells(self.points, self.cells, self.kind, rule)
 

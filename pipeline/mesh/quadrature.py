@@ -68,10 +68,10 @@ def _integrate_interval(degree: int) -> Quadrature:
     return Quadrature((points[:, None] + 1) / 2, weights / 2)
 
 
-def _integrate_simplex(dimension: int, degree: int, *, is_listed: bool = True) -> Quadrature:
+def _integrate_simplex(dimension: int, degree: int) -> Quadrature:
     """Return a rule on a triangle or tetrahedron, exact to that degree: listed, or a product on the collapsed cube."""
     listed = _TRIANGLES if dimension == 2 else _TETRAHEDRA
-    enough = [known for known in listed if known >= degree and is_listed]
+    enough = [known for known in listed if known >= degree]
     if enough:
         barycentric, weights = listed[min(enough)]
         return Quadrature(barycentric[:, 1:], weights / (2 if dimension == 2 else 6))
@@ -95,22 +95,25 @@ def _multiply(a: Quadrature, b: Quadrature) -> Quadrature:
     return Quadrature(points, np.outer(a.weights, b.weights).ravel())
 
 
-# Gauss's rules of the simplices, exact to degree 2, with their points inside: a corner's coordinate, and the others
-_GAUSS = {2: (2 / 3, 1 / 6), 3: ((5 + 3 * 5**0.5) / 20, (5 - 5**0.5) / 20)}
+# rules with points inside: of each orbit of d + 1 points, one barycentric coordinate and the d others, which are equal.
+# All points of a rule weigh the same, and it does not depend on the order of the corners
+_ORBITS = {
+    (2, 2): ((2 / 3, 1 / 6),),
+    (3, 2): (((5 + 3 * 5**0.5) / 20, (5 - 5**0.5) / 20),),
+    (3, 3): ((0.661129616462466914, 0.112956794512511029), (0.0134150502093912688, 0.328861649930202910)),
+}
 
 
 @cache
 def find_stress_quadrature(dimension: int, *, is_straight: bool) -> Quadrature:
-    """Return the rule for stresses in quadratic simplices: exact to degree 2 if straight, else 3.
+    """Return the rule for stresses in quadratic simplices: exact to degree 2, or 3 in curved tetrahedra.
 
-    Products of gradients have degree 2 in straight cells; in curved ones constant stresses have degree 3.
+    Products of gradients have degree 2 in straight cells; constant stresses in curved ones have the degree d.
     """
-    if not is_straight:
-        return _integrate_simplex(dimension, 3, is_listed=False)
-    corner, other = _GAUSS[dimension]
-    barycentric = np.full((dimension + 1,) * 2, other) + (corner - other) * np.eye(dimension + 1)
-    volume = 1 / (2 if dimension == 2 else 6)
-    return Quadrature(barycentric[:, 1:], np.full(dimension + 1, volume / (dimension + 1)))
+    d = dimension
+    rows = [np.full((d + 1,) * 2, b) + (a - b) * np.eye(d + 1) for a, b in _ORBITS[d, 2 if is_straight else d]]
+    barycentric, volume = np.concatenate(rows), 1 / (2 if d == 2 else 6)
+    return Quadrature(barycentric[:, 1:], np.full(len(barycentric), volume / len(barycentric)))
 
 
 @cache
