@@ -46,7 +46,7 @@ def test_a_step_with_supports_that_move_allocates_its_state(cases_folder, varian
 
 
 KERNELS = sorted((Path(__file__).parents[2] / "pipeline").glob("*/kernels/*.py"))
-CONSTANTS = {"LANES", "MOST_NODES", "d", "np"}  # cells at once, nodes of a cell, and the dimension
+CONSTANTS = {"LANES", "MOST_NODES", "NODES", "_ENTRIES", "d", "np"}  # cells at once, nodes of a cell, the dimension
 
 
 @pytest.mark.parametrize("path", KERNELS, ids=lambda path: path.stem)
