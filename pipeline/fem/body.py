@@ -6,18 +6,29 @@ Body sums over integration points with numpy, for every law; compiled_body.py do
 
 Rotations are found at sites: at every integration point, or once per element from its mean F. The latter is cheaper in
 elements of order 2, but not accurate if they bend much, and has no potential. Linear simplices have one site each.
+
+With a mean dilatation the trace of the strain, in the part of W with lam, is replaced by its mean over the element: an
+element of order 2 then does not lock as lam -> infinity (poisson_ratio -> 1/2).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
-from pipeline.fem.element import deformation_gradient, mean_gradient, nodal_forces, nodal_sums, stiffness_blocks
+from pipeline.fem.element import (
+    cell_means,
+    deformation_gradient,
+    mean_dilatation_blocks,
+    mean_gradient,
+    nodal_forces,
+    nodal_sums,
+    stiffness_blocks,
+)
 from pipeline.fem.frame_error import FrameError, measure_frame_error, spurious_volume
 from pipeline.fem.laws import Law, Tangent
 from pipeline.fem.mass import MassModel
@@ -26,7 +37,15 @@ from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
 from pipeline.mesh.element_mesh import ElementMesh
 
-Sites = Literal["points", "element"]
+
+class Formulation(NamedTuple):
+    """The formulation of the elements: the sites of their rotations, and their dilatation, at each point or a mean."""
+
+    rotation_at: Literal["points", "element"] = "points"
+    volumetric: Literal["full", "mean"] = "full"
+
+
+PLAIN = Formulation()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,7 +61,7 @@ class Body:
     load: Floats
     mass_model: MassModel
     varying_load: Callable[[float], Floats] | None = None
-    rotation_at: Sites = "points"
+    formulation: Formulation = PLAIN
 
     def __repr__(self) -> str:
         held = len(self.supports.nodes)
@@ -123,7 +142,7 @@ class Body:
     def site_count(self) -> int:
         """Return the number of rotations s: one per integration point, or one per element."""
         e, q = self.mesh.integration.weights.shape
-        return e if self.rotation_at == "element" else e * q
+        return e if self.formulation.rotation_at == "element" else e * q
 
     @cached_property
     def _held_at_rest(self) -> Floats:
@@ -162,6 +181,12 @@ class Body:
         points = self.mesh.integration.weights.size
         return R if len(R) == points else np.repeat(R, points // len(R), axis=0)
 
+    def _find_dilatation(self, F: Floats, R: Floats) -> Floats | None:
+        """Return the mean dilatation of every point's element (p,), None if each point has its own."""
+        return (
+            cell_means(self.mesh, self.law.measure_dilatation(F, R)) if self.formulation.volumetric == "mean" else None
+        )
+
     def nodal_rotations(self, x: Floats, out: Floats | None = None) -> Floats:
         """Return for each node the polar rotation of the mean F of its elements (n, d, d)."""
         w, F = self.mesh.integration.weights, deformation_gradient(self.mesh, x)
@@ -178,14 +203,15 @@ class Body:
         """Return the elastic energy [J] at positions x (n, d)."""
         F = deformation_gradient(self.mesh, x)
         R = self._spread(self.rotations(x))
-        return float(self.mesh.integration.weights.ravel() @ self.law.energy_density(F, R))
+        density = self.law.energy_density(F, R, self._find_dilatation(F, R))
+        return float(self.mesh.integration.weights.ravel() @ density)
 
     def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
         """Return the elastic forces ON the nodes f_el (n, d) [N], with the rotations R (s, d, d) if given."""
         F = deformation_gradient(self.mesh, x)
         out = np.empty_like(x) if out is None else out
         R = self._spread(self.rotations(x) if R is None else R)
-        out[:] = nodal_forces(self.mesh, self.law.stress(F, R))
+        out[:] = nodal_forces(self.mesh, self.law.stress(F, R, self._find_dilatation(F, R)))
         return out
 
     def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
@@ -231,5 +257,11 @@ class Body:
         """Write the elastic forces into f (n, d) and add scale * K to A (blocks, d, d)."""
         F = deformation_gradient(self.mesh, x)
         R = self._spread(self.rotations(x) if R is None else R)
-        f[:] = nodal_forces(self.mesh, self.law.stress(F, R))
-        A += scale * self.assembly.sum_blocks(stiffness_blocks(self.mesh, self.law.tangent(F, R, kind)))
+        f[:] = nodal_forces(self.mesh, self.law.stress(F, R, self._find_dilatation(F, R)))
+        A += scale * self.assembly.sum_blocks(self.cell_stiffness(F, R, kind))
+
+    def cell_stiffness(self, F: Floats, R: Floats, kind: Tangent = "frozen") -> Floats:
+        """Return the stiffness of every element (e, k, d, k, d) [N/m] at F and R (p, d, d)."""
+        dilatation = self._find_dilatation(F, R)
+        blocks = stiffness_blocks(self.mesh, self.law.tangent(F, R, kind, dilatation))
+        return blocks if dilatation is None else blocks + mean_dilatation_blocks(self.mesh, R, self.material.lam)

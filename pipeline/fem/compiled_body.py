@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import sort_corners
-from pipeline.fem.body import Body, Sites
+from pipeline.fem.body import PLAIN, Body, Formulation
 from pipeline.fem.frame_error import FrameError, indicator, spurious_volume
 from pipeline.fem.kernels import IDENTITY, POLAR
 from pipeline.fem.laws import CREASE, Corotational, Law, Linear, Tangent
@@ -67,7 +67,7 @@ class CompiledBody(Body):
 
         The nodes of a cell are in the order of their rows, so that its blocks lie on or below the diagonal. In space
         the gradients are in blocks of LANES points (blocks, 3 (k - 1), LANES); copies of the last one fill the last
-        block. Weights are (e,) if the order is 1, else (e, q).
+        block. If the order is 1, weights are (e,); else (e, q), and whether the dilatation is a mean comes last.
         """
         m, (weights, gradients) = self.material, self.mesh.integration
         cells, gradients = self._sort_nodes(gradients)
@@ -75,8 +75,9 @@ class CompiledBody(Body):
             cells, gradients = _fill_lanes(cells, gradients)
         elif self.mesh.order == 1:
             gradients = gradients[:, 0]
-        weights = self.mesh.rest_volumes if self.mesh.order == 1 else weights
-        return (cells.astype(np.int32), gradients, weights, m.mu, m.lam)
+        if self.mesh.order == 1:
+            return (cells.astype(np.int32), gradients, self.mesh.rest_volumes, m.mu, m.lam)
+        return (cells.astype(np.int32), gradients, weights, m.mu, m.lam, self.formulation.volumetric == "mean")
 
     @cached_property
     def _sites(self) -> tuple[Any, ...]:
@@ -84,7 +85,7 @@ class CompiledBody(Body):
         q = self.mesh.integration.weights.shape[1]
         if self.mesh.order == 1:
             return self._cells[:2]
-        if self.rotation_at == "points":
+        if self.formulation.rotation_at == "points":
             return (*self._cells[:2], q)
         weights, gradients = self.mesh.integration
         mean = np.einsum("eq,eqai->eai", weights / weights.sum(axis=1, keepdims=True), gradients)
@@ -109,10 +110,10 @@ class CompiledBody(Body):
     def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
         """Call the kernels of later steps on no cells, which loads or compiles them."""
         super().warm_up(solves=solves)
-        cells, G, weights, mu, lam = self._cells
+        cells, G, weights, *rest = self._cells
         X, none, nothing = (
             _to_contiguous(self.mesh.points),
-            (cells[:0], G[:0], weights[:0], mu, lam),
+            (cells[:0], G[:0], weights[:0], *rest),
             self._no_rotations,
         )
         self._modules.sums.energy(X, *none, self._rotation)
@@ -123,8 +124,8 @@ class CompiledBody(Body):
         if frame_errors:
             self.update_rotations(X, nothing)
             if self._modules.frame_errors is not None:
-                self._modules.frame_errors.bound_frame_error(X, *none[:2], mu, lam)
-                self._modules.frame_errors.measure_frame_error(X, *none[:2], mu, lam, nothing, nothing)
+                self._modules.frame_errors.bound_frame_error(X, *none[:2], *rest[:2])
+                self._modules.frame_errors.measure_frame_error(X, *none[:2], *rest[:2], nothing, nothing)
         if tangents or not solves:
             self._modules.sums.force(X, *none, self._rotation, f)
         if tangents and self._modules.tangents is not None:
@@ -157,7 +158,7 @@ class CompiledBody(Body):
         """Write the rotations at x into reached (s, d, d); return their frame error from those used."""
         if self._rotation != POLAR or self._modules.frame_errors is None:
             return super().measure_frame_error(x, used, reached)
-        cells, G, _, mu, lam = self._cells
+        cells, G, _, mu, lam, *_ = self._cells
         before, d = self._no_rotations if used is None else used, x.shape[1]
         trace, stress, own = self._modules.frame_errors.measure_frame_error(
             _to_contiguous(x), cells, G, mu, lam, before, reached
@@ -168,7 +169,7 @@ class CompiledBody(Body):
         """Return an upper bound on the indicator of measure_frame_error(x, None) that needs no rotations."""
         if self._rotation != POLAR or self._modules.frame_errors is None:
             return super().bound_frame_error(x)
-        cells, G, _, mu, lam = self._cells
+        cells, G, _, mu, lam, *_ = self._cells
         tangent, stress = self._modules.frame_errors.bound_frame_error(_to_contiguous(x), cells, G, mu, lam)
         cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, from the tangent of half of it
         return indicator(2 * cosine + x.shape[1] - 2, x.shape[1], stress, self.material)
@@ -261,10 +262,13 @@ def make_body(
     load: Floats,
     mass_model: MassModel,
     varying_load: Callable[[float], Floats] | None = None,
-    rotation_at: Sites = "points",
+    formulation: Formulation = PLAIN,
 ) -> Body:
     """Return the fastest body for a law; a law without a kernel gets a plain Body."""
     kind = Body
-    if load_kernels(mesh.order, mesh.dimension) is not None and find_rotation_number(law) is not None:
+    has_kernels = load_kernels(mesh.order, mesh.dimension) is not None
+    if mesh.order == 1 and formulation.volumetric == "mean":
+        has_kernels = False
+    if has_kernels and find_rotation_number(law) is not None:
         kind = LinearBody if isinstance(law, Linear) else CompiledBody
-    return kind(mesh, law, supports, load, mass_model, varying_load, rotation_at)
+    return kind(mesh, law, supports, load, mass_model, varying_load, formulation)

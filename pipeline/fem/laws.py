@@ -19,6 +19,9 @@ a = axial(R^T dF - dF^T R):
 `frozen` keeps the first two terms, T's R K_e R^T. `projected` clamps every mu + c/A_i at zero: the nearest positive
 semidefinite tangent, because the three terms act on orthogonal spaces. `exact` is indefinite in compression.
 
+With a mean dilatation (body.py) the trace tr(eps) in W, P and c is that mean, given as `dilatation` (e,); the second
+term of the tangent then couples the points of a cell, and element.py adds it.
+
 Laws know nothing of meshes: element.py makes nodal forces and stiffness matrices from P and dP/dF.
 """
 
@@ -50,16 +53,20 @@ class Law(Protocol):
         """Return the rotations R (e, d, d) of the frames in which this law measures strain."""
         ...
 
-    def energy_density(self, F: Floats, R: Floats) -> Floats:
+    def measure_dilatation(self, F: Floats, R: Floats) -> Floats:
+        """Return tr(eps) (e,) [1]."""
+        ...
+
+    def energy_density(self, F: Floats, R: Floats, dilatation: Floats | None = None) -> Floats:
         """Return W (e,) [J/m3]."""
         ...
 
-    def stress(self, F: Floats, R: Floats) -> Floats:
+    def stress(self, F: Floats, R: Floats, dilatation: Floats | None = None) -> Floats:
         """Return the first Piola-Kirchhoff stress P (e, d, d) [Pa]."""
         ...
 
-    def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen") -> Floats:
-        """Return the tangents dP_iJ/dF_kL (e, d, d, d, d) [Pa]."""
+    def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen", dilatation: Floats | None = None) -> Floats:
+        """Return the tangents dP_iJ/dF_kL (e, d, d, d, d) [Pa]; without the second term if dilatations are given."""
         ...
 
 
@@ -74,17 +81,22 @@ class Linear:
         """Return identities; no rotation is extracted."""
         return np.broadcast_to(np.eye(F.shape[-1]), F.shape)
 
-    def energy_density(self, F: Floats, R: Floats) -> Floats:
+    def measure_dilatation(self, F: Floats, R: Floats) -> Floats:
+        """Return tr(F) - d (e,) [1]; R is not used."""
+        return _compute_trace(_compute_strain(F))
+
+    def energy_density(self, F: Floats, R: Floats, dilatation: Floats | None = None) -> Floats:
         """Return W (e,) [J/m3]; R is not used."""
-        return _compute_energy(_compute_strain(F), self.material)
+        return _compute_energy(_compute_strain(F), self.material, dilatation)
 
-    def stress(self, F: Floats, R: Floats) -> Floats:
+    def stress(self, F: Floats, R: Floats, dilatation: Floats | None = None) -> Floats:
         """Return P = 2 mu eps + lam tr(eps) I (e, d, d) [Pa]; R is not used."""
-        return _compute_stress(_compute_strain(F), self.material)
+        return _compute_stress(_compute_strain(F), self.material, dilatation)
 
-    def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen") -> Floats:
+    def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen", dilatation: Floats | None = None) -> Floats:
         """Return the elasticity tensor (e, d, d, d, d) [Pa], the same for every F and R."""
-        return np.broadcast_to(make_elasticity_tensor(F.shape[-1], self.material), F.shape + F.shape[-2:])
+        tensor = make_elasticity_tensor(F.shape[-1], self.material, has_trace=dilatation is None)
+        return np.broadcast_to(tensor, F.shape + F.shape[-2:])
 
 
 @dataclass(frozen=True)
@@ -99,35 +111,39 @@ class Corotational:
         """Return the rotation extracted from each F."""
         return self.rotation.extract(F)
 
-    def energy_density(self, F: Floats, R: Floats) -> Floats:
+    def measure_dilatation(self, F: Floats, R: Floats) -> Floats:
+        """Return tr(R^T F) - d (e,) [1]."""
+        return _compute_trace(_compute_strain(_transpose(R) @ F))
+
+    def energy_density(self, F: Floats, R: Floats, dilatation: Floats | None = None) -> Floats:
         """Return W (e,) [J/m3] of the strain in the frame R."""
-        return _compute_energy(_compute_strain(_transpose(R) @ F), self.material)
+        return _compute_energy(_compute_strain(_transpose(R) @ F), self.material, dilatation)
 
-    def stress(self, F: Floats, R: Floats) -> Floats:
+    def stress(self, F: Floats, R: Floats, dilatation: Floats | None = None) -> Floats:
         """Return P = R (2 mu eps + lam tr(eps) I) (e, d, d) [Pa]."""
-        return R @ _compute_stress(_compute_strain(_transpose(R) @ F), self.material)
+        return R @ _compute_stress(_compute_strain(_transpose(R) @ F), self.material, dilatation)
 
-    def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen") -> Floats:
+    def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen", dilatation: Floats | None = None) -> Floats:
         """Return dP/dF (e, d, d, d, d) [Pa]; `exact` and `projected` are for the polar R only."""
         d = F.shape[-1]
-        C = make_elasticity_tensor(d, self.material)
+        C = make_elasticity_tensor(d, self.material, has_trace=dilatation is None)
         half = (R @ C.reshape(d, d**3)).reshape(-1, d, d, d, d)  # R_iI C_IJKL
         frozen = R[:, None, None] @ half  # R_kK R_iI C_IJKL
         if kind == "frozen":
             return frozen
-        weight, mode = self._find_rotation_modes(F, R)
+        weight, mode = self._find_rotation_modes(F, R, dilatation)
         if kind == "projected":
             weight = np.maximum(weight, 0.0)
         mode = mode.reshape(len(F), -1, d * d)
         return frozen + (np.swapaxes(mode, 1, 2) @ (weight[:, :, None] * mode)).reshape(frozen.shape)
 
-    def _find_rotation_modes(self, F: Floats, R: Floats) -> tuple[Floats, Floats]:
+    def _find_rotation_modes(self, F: Floats, R: Floats, dilatation: Floats | None) -> tuple[Floats, Floats]:
         """Return mu + c/A_i (e, m) and the T_i (e, m, d, d) with T_i : dF = q_i . axial(R^T dF - dF^T R)."""
         mu, lam = self.material.mu, self.material.lam
         d = F.shape[-1]
         S = _compute_strain(_transpose(R) @ F) + np.eye(d)
         trace = np.trace(S, axis1=1, axis2=2)
-        c = (lam * (trace - d) - 2 * mu)[:, None]
+        c = (lam * (trace - d if dilatation is None else dilatation) - 2 * mu)[:, None]
         if d == 2:
             A, mode = trace[:, None], (R @ _GENERATOR_2D)[:, None]
         else:
@@ -136,11 +152,14 @@ class Corotational:
         return mu + c / np.maximum(A, np.maximum(np.abs(c) / (CREASE * mu), np.finfo(float).tiny)), mode
 
 
-def make_elasticity_tensor(d: int, material: Material) -> Floats:
-    """Return the isotropic C_IJKL = mu (d_IK d_JL + d_IL d_JK) + lam d_IJ d_KL (d, d, d, d) [Pa]."""
+def make_elasticity_tensor(d: int, material: Material, *, has_trace: bool = True) -> Floats:
+    """Return the isotropic C_IJKL = mu (d_IK d_JL + d_IL d_JK) + lam d_IJ d_KL (d, d, d, d) [Pa].
+
+    Without the trace it has only the first term.
+    """
     delta = np.eye(d)
     shear = np.einsum("ik,jl->ijkl", delta, delta) + np.einsum("il,jk->ijkl", delta, delta)
-    return material.mu * shear + material.lam * np.einsum("ij,kl->ijkl", delta, delta)
+    return material.mu * shear + (material.lam if has_trace else 0.0) * np.einsum("ij,kl->ijkl", delta, delta)
 
 
 # component m of axial(R^T dF - dF^T R) is (R L_m) : dF with these generators L_m of rotations
@@ -158,13 +177,18 @@ def _compute_strain(F: Floats) -> Floats:
     return (F + _transpose(F)) / 2 - np.eye(F.shape[-1])
 
 
-def _compute_stress(strain: Floats, material: Material) -> Floats:
-    trace = np.trace(strain, axis1=1, axis2=2)
+def _compute_trace(strain: Floats) -> Floats:
+    return np.asarray(np.trace(strain, axis1=1, axis2=2))
+
+
+def _compute_stress(strain: Floats, material: Material, dilatation: Floats | None) -> Floats:
+    trace = _compute_trace(strain) if dilatation is None else dilatation
     return 2 * material.mu * strain + material.lam * trace[:, None, None] * np.eye(strain.shape[-1])
 
 
-def _compute_energy(strain: Floats, material: Material) -> Floats:
-    return material.mu * (strain**2).sum(axis=(1, 2)) + material.lam / 2 * np.trace(strain, axis1=1, axis2=2) ** 2
+def _compute_energy(strain: Floats, material: Material, dilatation: Floats | None) -> Floats:
+    trace = _compute_trace(strain) if dilatation is None else dilatation
+    return material.mu * (strain**2).sum(axis=(1, 2)) + material.lam / 2 * trace**2
 
 
 def _transpose(F: Floats) -> Floats:

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from pipeline.case import Case, MethodSpec
 from pipeline.errors import MeshError, join_names, quote_value
-from pipeline.fem.body import Body, Sites
+from pipeline.fem.body import Body, Formulation
 from pipeline.fem.compiled_body import make_body
 from pipeline.fem.laws import Corotational, Law
 from pipeline.fem.material import Material
@@ -99,8 +99,9 @@ def build(case: Case, *, mesh: ElementMesh | None = None) -> Problem:
 def _make_body(case: Case, mesh: ElementMesh) -> Body:
     law, mass = _make_law(case), MASSES[case.method.mass].part
     load, varying_load = make_dead_load(case, mesh), make_varying_load(case, mesh)
-    supports, sites = make_supports(case, mesh), cast(Sites, case.method.rotation_at)
-    return make_body(mesh, law, supports, load, mass, varying_load, sites)
+    supports, method = make_supports(case, mesh), case.method
+    formulation = Formulation(cast(Any, method.rotation_at), cast(Any, method.volumetric))
+    return make_body(mesh, law, supports, load, mass, varying_load, formulation)
 
 
 def _make_law(case: Case) -> Law:

@@ -68,7 +68,13 @@ def make_stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     if traits.chooses_model:
         # the linear rung keeps its factor, so it has a solver of its own
         linear = make_body(
-            body.mesh, Linear(body.material), body.supports, body.load, body.mass_model, body.varying_load
+            body.mesh,
+            Linear(body.material),
+            body.supports,
+            body.load,
+            body.mass_model,
+            body.varying_load,
+            body.formulation,
         )
         linear.warm_up()
         prefactored = Prefactored(linear, _make_linear_solver(systems, stiffness, method, constant=True), h)

@@ -16,7 +16,6 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
-from pipeline.fem.element import stiffness_blocks
 from pipeline.linear.work import Work
 from pipeline.stepping.inversion import Treatment, track_rotations
 from pipeline.stepping.parts import StepperParts
@@ -99,5 +98,5 @@ def _cell_matrices(body: Body) -> tuple[Floats, Floats]:
     e, k = mesh.cells.shape
     d = mesh.dimension
     identity = np.broadcast_to(np.eye(d), (mesh.integration.weights.size, d, d))
-    K = stiffness_blocks(mesh, body.law.tangent(identity, identity)).reshape(e, k * d, k * d)
+    K = body.cell_stiffness(identity, identity).reshape(e, k * d, k * d)
     return K, np.repeat(body.material.density * mesh.lumped_shares, d, axis=1)

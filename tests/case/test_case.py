@@ -93,6 +93,8 @@ def test_defaults():
         "volume_tolerance": 0.01,
         "law": "corotational",
         "rotation": "polar",
+        "rotation_at": "points",
+        "volumetric": "full",
         "stepper": "backward_euler",
         "iterations": 1,
         "mass": "consistent",
@@ -161,10 +163,10 @@ def test_a_case_is_frozen_and_can_be_sent_to_another_process():
 def test_mesh_file_is_found_from_the_case_file_and_from_a_copy_elsewhere():
     for folder in ("cases", "outputs/beam/linear"):
         Path(folder).mkdir(parents=True)
-    document = {**SMALL, "mesh": {"file": "meshes/a.vtu", "scale": 8.98}}
+    document = {**SMALL, "mesh": {"file": "meshes/a.vtu", "scale": 8.98, "order": 1}}
     case = load_case(write(document, "cases/beam.toml")).variant("linear")
     assert case.mesh_path == Path("cases/meshes/a.vtu")
-    assert case.as_dict()["mesh"] == {"file": "meshes/a.vtu", "scale": 8.98}
+    assert case.as_dict()["mesh"] == {"file": "meshes/a.vtu", "scale": 8.98, "order": 1}
     saved = Path("outputs/beam/linear/case.toml")
     saved.write_text(case.to_toml(saved.parent), encoding="utf-8")
     assert tomllib.loads(saved.read_text())["mesh"]["file"] == "../../../cases/meshes/a.vtu"

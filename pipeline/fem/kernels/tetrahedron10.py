@@ -4,7 +4,8 @@ Names and arguments are those of tetrahedron.py, whose stresses they use, but la
 once, q per cell, where `weights` (e, q) are w_q and G (blocks, 27, LANES) their gradients: entry 3 a + j is component j
 at node a + 1. LANES is a multiple of q, so that no cell is split between blocks of lanes.
 
-Rotations are one per point, or one per cell if there are only e of them.
+Rotations are one per point, or one per cell if there are only e of them. `is_mean` replaces the dilatation of points by
+the mean over their cell (fem/body.py).
 """
 
 import numpy as np
@@ -46,7 +47,27 @@ def compute_gradients(x, cells, G, first, q, D, F):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def energy(x, cells, G, weights, mu, lam, rotation):
+def _add_mean_pressure(F, R, weights, first, count, lam, P, W):
+    """Add lam theta R to P and lam theta^2 / 2 to W at `count` points, theta the mean of tr(R^T F - I) over a cell."""
+    q = weights.shape[1]
+    for c in range(count // q):
+        volume = theta = 0.0
+        for l in range(q):
+            w, lane = weights[first // q + c, l], c * q + l
+            trace = -3.0
+            for k in range(9):
+                trace += R[k, lane] * F[k, lane]
+            volume += w
+            theta += w * trace
+        theta /= volume
+        for lane in range(c * q, (c + 1) * q):
+            for k in range(9):
+                P[k, lane] += lam * theta * R[k, lane]
+            W[lane] += 0.5 * lam * theta * theta
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def energy(x, cells, G, weights, mu, lam, is_mean, rotation):
     """Return sum w W(F)."""
     F, R, P, W, root, good, C = allocate_lanes()
     D, (e, q), total = np.zeros((_ENTRIES, LANES)), weights.shape, 0.0
@@ -54,7 +75,9 @@ def energy(x, cells, G, weights, mu, lam, rotation):
         count = min(LANES, e * q - first)
         compute_gradients(x, cells, G[first // LANES], first, q, D, F)
         find_rotations(rotation, F, count, R, root, good, C)
-        compute_stresses(F, R, mu, lam, P, W)
+        compute_stresses(F, R, mu, 0.0 if is_mean else lam, P, W)
+        if is_mean:
+            _add_mean_pressure(F, R, weights, first, count, lam, P, W)
         for l in range(count):
             p = first + l
             total += weights[p // q, p % q] * W[l]
@@ -89,7 +112,7 @@ def _scatter_forces(cells, G, weights, P, first, count, D, f):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def force(x, cells, G, weights, mu, lam, rotation, f):
+def force(x, cells, G, weights, mu, lam, is_mean, rotation, f):
     """Write f_a = -sum w P grad N_a into f (n, 3)."""
     f[:] = 0.0
     F, R, P, W, root, good, C = allocate_lanes()
@@ -98,7 +121,9 @@ def force(x, cells, G, weights, mu, lam, rotation, f):
         count = min(LANES, e * q - first)
         compute_gradients(x, cells, G[first // LANES], first, q, D, F)
         find_rotations(rotation, F, count, R, root, good, C)
-        compute_stresses(F, R, mu, lam, P, W)
+        compute_stresses(F, R, mu, 0.0 if is_mean else lam, P, W)
+        if is_mean:
+            _add_mean_pressure(F, R, weights, first, count, lam, P, W)
         _scatter_forces(cells, G[first // LANES], weights, P, first, count, D, f)
 
 
@@ -144,6 +169,25 @@ def _scatter_stiffness(g, weights, first, mu, lam, blocks, T, A):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def _scatter_mean_stiffness(g, weights, first, lam, blocks, total, A):
+    """Add lam/V G_a (x) G_b to the blocks (a, b <= a) of a cell, G_a = sum w g_a; `total` (30,) is scratch."""
+    total[:] = 0.0
+    volume = 0.0
+    for l in range(len(weights)):
+        volume += weights[l]
+        for c in range(3 * NODES):
+            total[c] += weights[l] * g[c, first + l]
+    k = 0
+    for a in range(NODES):
+        for b in range(a + 1):
+            block = A[blocks[k]]
+            k += 1
+            for m in range(3):
+                for n in range(3):
+                    block[m, n] += lam / volume * total[3 * a + m] * total[3 * b + n]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def _load_rotations(Rs, first, count, q, R):
     """Copy the rotations Rs (s, 3, 3) of `count` points into lanes (9, LANES); s counts points, or cells of q each."""
     for l in range(count):
@@ -154,7 +198,7 @@ def _load_rotations(Rs, first, count, q, R):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def linearize(x, cells, G, weights, mu, lam, rotation, pairs, scale, has_rotations, Rs, f, A):
+def linearize(x, cells, G, weights, mu, lam, is_mean, rotation, pairs, scale, has_rotations, Rs, f, A):
     """Write the forces into f (n, 3) and add scale times the frozen stiffness to A (blocks, 3, 3).
 
     The rotations are Rs (s, 3, 3) if has_rotations, else those of x.
@@ -170,12 +214,16 @@ def linearize(x, cells, G, weights, mu, lam, rotation, pairs, scale, has_rotatio
             _load_rotations(Rs, first, count, q if len(Rs) == e else 1, R)
         else:
             find_rotations(rotation, F, count, R, root, good, C)
-        compute_stresses(F, R, mu, lam, P, W)
+        compute_stresses(F, R, mu, 0.0 if is_mean else lam, P, W)
+        if is_mean:
+            _add_mean_pressure(F, R, weights, first, count, lam, P, W)
         _scatter_forces(cells, G[first // LANES], weights, P, first, count, D, f)
         _rotate_gradients(G[first // LANES], R, g)
         for c in range(count // q):
             n = first // q + c
-            _scatter_stiffness(g, weights[n], c * q, scale * mu, scale * lam, pairs[n], T, A)
+            _scatter_stiffness(g, weights[n], c * q, scale * mu, 0.0 if is_mean else scale * lam, pairs[n], T, A)
+            if is_mean:
+                _scatter_mean_stiffness(g, weights[n], c * q, scale * lam, pairs[n], T[0], A)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
