@@ -15,10 +15,12 @@ from pipeline.mesh.node_order import SIMPLEX_EDGES
 from pipeline.mesh.quadrature import find_mass_quadrature, find_stress_quadrature
 from pipeline.mesh.shape_functions import CellKind, make_kind
 from pipeline.mesh.simplex import Mesh
+from pipeline.system.memory import require_memory
 
 _TYPES = {2: 22, 3: 24}  # VTK's quadratic triangle and tetrahedron
 _KINDS = {2: "triangle 2", 3: "tetrahedron 2"}
 _NODES = {2: 6, 3: 10}
+_BYTES = {2: 900, 3: 1900}  # per cell of a complete body, measured with 13 000 to 800 000 cells
 _STRAIGHT = 1e-9  # of a side: the distance of its node from its middle
 
 
@@ -110,7 +112,11 @@ def make_quadratic_mesh(points: Floats, cells: Ints, name: str = "mesh", notes: 
 
 
 def raise_order(mesh: Mesh) -> QuadraticMesh:
-    """Return the mesh of order 2 with the same straight cells: the nodes of sides follow those of the mesh."""
+    """Return the mesh of order 2 with the same straight cells: the nodes of sides follow those of the mesh.
+
+    Raises MeshError if it would not fit into free memory.
+    """
+    require_memory(len(mesh.cells), _BYTES[mesh.dimension], "take fewer cells or mesh.order = 1")
     ends, sides = find_sides(mesh.cells)
     points = np.concatenate([mesh.points, mesh.points[ends].mean(axis=1)])
     cells = np.concatenate([mesh.cells, len(mesh.points) + sides], axis=1)

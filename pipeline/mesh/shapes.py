@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, quote_value
 from pipeline.mesh.simplex import Mesh, signed_volumes
-from pipeline.system.memory import read_free_bytes
+from pipeline.system.memory import require_memory
 
 # a cell is split into simplices along the diagonal from its low to its high corner; `alternating` mirrors every other
 # cell, which removes the bias of one diagonal direction
@@ -44,13 +44,7 @@ def _mesh_grid(size: Sequence[float], cells: Sequence[int], split: str, *, dimen
 
 def _check_memory(cells: Sequence[int], dimension: int) -> None:
     """Raise MeshError if the mesh would not fit into free memory: the system would kill the process."""
-    simplices = prod(cells) * factorial(dimension)
-    needed, free = simplices * _BYTES, read_free_bytes()
-    if needed > free:
-        raise MeshError(
-            f"{simplices} cells take {needed / 1e9:.3g} GB to build and more to solve; {free / 1e9:.3g} GB of memory "
-            "are free; take fewer cells"
-        )
+    require_memory(prod(cells) * factorial(dimension), _BYTES, "take fewer cells")
 
 
 def _find_kuhn_paths(dimension: int) -> list[Ints]:

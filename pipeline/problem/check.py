@@ -9,12 +9,13 @@ from scipy.optimize import brentq
 
 from pipeline.errors import SolveError
 from pipeline.fem.modes import find_lowest_frequencies
+from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.simplex import label_components, measure_quality
 from pipeline.problem.methods import MODE_FACTORS
 from pipeline.problem.problem import Problem
 from pipeline.stepping.symplectic_euler import element_limit, true_limit
 
-# cells; the eigenvalues of larger bodies take longer than most runs
+# cells of order 1, or as many nodes; the eigenvalues of larger bodies take longer than most runs
 _MODE_LIMIT = 200_000
 _HUNDREDTH = 0.01  # of critical damping, and of a period: above these a smaller dt is suggested
 
@@ -79,8 +80,12 @@ def check_problem(problem: Problem) -> Check:
     )
 
 
+def _is_large(mesh: ElementMesh) -> bool:
+    return len(mesh.cells) * 2 ** (mesh.dimension * (mesh.order - 1)) > _MODE_LIMIT
+
+
 def _lowest(problem: Problem) -> float:
-    if len(problem.body.mesh.cells) > _MODE_LIMIT:
+    if _is_large(problem.body.mesh):
         return float("nan")
     try:
         frequencies, _ = find_lowest_frequencies(problem.body)
@@ -90,7 +95,7 @@ def _lowest(problem: Problem) -> float:
 
 
 def _limit(problem: Problem) -> float:
-    if len(problem.body.mesh.cells) > _MODE_LIMIT:
+    if _is_large(problem.body.mesh):
         return float("nan")
     return true_limit(problem.body)
 
@@ -98,9 +103,10 @@ def _limit(problem: Problem) -> float:
 def format_check(check: Check, problem: Problem) -> list[str]:
     """Return the numbers as lines of text."""
     kind, unit = ("tetrahedra", "m3") if check.dimension == 3 else ("triangles", "m2")
+    order = f" of order {problem.body.mesh.order}" if problem.body.mesh.order > 1 else ""
     rows = [
         f"nodes        {check.nodes}, of which {check.held} are held",
-        f"{kind:<12} {check.cells} in {check.components} component{'s' * (check.components > 1)}",
+        f"{kind:<12} {check.cells}{order} in {check.components} component{'s' * (check.components > 1)}",
         f"volume       {check.total_volume:.6g} {unit}; "
         f"cells from {check.smallest_volume:.4g} to {check.largest_volume:.4g}",
         f"quality      worst {check.worst_quality:.3f} (cell {check.worst_cell}), "
@@ -113,8 +119,13 @@ def format_check(check: Check, problem: Problem) -> list[str]:
             f"omega_1 dt   {check.z:.4g} with dt = {problem.dt:g} s",
         ]
         rows += _format_mode(check, problem.method.stepper)
+    limit = (
+        f"{check.explicit_limit:.4g} s"
+        if np.isfinite(check.explicit_limit)
+        else "a step not computed for so many cells"
+    )
     rows.append(
-        f"explicit     symplectic Euler is stable below {check.explicit_limit:.4g} s; "
+        f"explicit     symplectic Euler is stable below {limit}; "
         f"the bound over the cells is {check.explicit_bound:.4g} s"
     )
     rows += [f"note         {note}" for note in problem.notes]

@@ -3,6 +3,8 @@
 import math
 import os
 
+from pipeline.errors import MeshError
+
 
 def read_installed_bytes() -> float:
     """Return the installed memory [bytes], infinite if the system does not report it."""
@@ -20,3 +22,13 @@ def read_free_bytes() -> float:
         return float(kilobytes[0]) * 1024
     except (OSError, IndexError, ValueError):
         return math.inf
+
+
+def require_memory(cells: int, bytes_per_cell: int, advice: str) -> None:
+    """Raise MeshError if a mesh of so many cells would not fit into free memory: the system would kill the process."""
+    needed, free = cells * bytes_per_cell, read_free_bytes()
+    if needed > free:
+        raise MeshError(
+            f"{cells} cells take {needed / 1e9:.3g} GB to build and more to solve; {free / 1e9:.3g} GB of memory "
+            f"are free; {advice}"
+        )

@@ -7,6 +7,7 @@ import pytest
 from pipeline.errors import MeshError
 from pipeline.mesh import shapes
 from pipeline.mesh.files import read_mesh
+from pipeline.mesh.quadratic import raise_order
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh, label_components, measure_quality
 from pipeline.mesh.surface import find_boundary_faces, outward_areas
@@ -173,7 +174,7 @@ def test_a_file_that_is_no_mesh_gives_a_one_line_error_and_no_output(tmp_path, n
 
 
 def test_a_shape_larger_than_the_memory_is_refused_before_it_is_built(monkeypatch):
-    monkeypatch.setattr(shapes, "read_free_bytes", lambda: 1e6)
+    monkeypatch.setattr("pipeline.system.memory.read_free_bytes", lambda: 1e6)
     with pytest.raises(MeshError, match=r"6000 cells take 0.00162 GB to build and more to solve; 0.001 GB of memory"):
         shapes.box((1, 1, 1), (10, 10, 10))
     monkeypatch.undo()
@@ -185,3 +186,10 @@ def test_a_shape_larger_than_the_memory_is_refused_before_it_is_built(monkeypatc
 def test_a_mesh_too_large_for_its_numbers_is_refused(size):
     with pytest.raises(MeshError, match=r"not finite, or farther than 1e\+30"):
         Mesh(np.array([[0, 0, 0], [size, 0, 0], [0, 1, 0], [0, 0, 1.0]]), np.array([[0, 1, 2, 3]]))
+
+
+def test_a_mesh_of_order_two_larger_than_the_memory_is_refused(monkeypatch):
+    mesh = box((1, 1, 1), (2, 2, 2))
+    monkeypatch.setattr("pipeline.system.memory.read_free_bytes", lambda: 5e4)
+    with pytest.raises(MeshError, match=r"48 cells take 9.12e-05 GB .*; take fewer cells or mesh.order = 1"):
+        raise_order(mesh)

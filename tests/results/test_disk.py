@@ -22,6 +22,7 @@ def set_free_bytes(monkeypatch, size: float) -> None:
     monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: SimpleNamespace(free=size))
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(
     ("cells", "frames", "output"),
     [
@@ -32,10 +33,10 @@ def set_free_bytes(monkeypatch, size: float) -> None:
         ([8, 24], 20, {}),
     ],
 )
-def test_the_estimate_is_within_a_factor_of_two(tmp_path, cells, frames, output):
+def test_the_estimate_is_within_a_factor_of_two(tmp_path, cells, frames, output, order):
     planar = len(cells) == 2
     shape = {"shape": "rectangle", "size": [1.0, 3.0]} if planar else {"shape": "box", "size": [1.0, 3.0, 1.0]}
-    sections = (PLANAR if planar else {}) | {"mesh": shape | {"cells": cells}}
+    sections = (PLANAR if planar else {}) | {"mesh": shape | {"cells": cells, "order": order}}
     case = load_case(
         write_case(tmp_path, **sections, variants={"only": {}}, output=output, schedule={"dt": 0.01, "frames": frames})
     )
