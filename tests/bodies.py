@@ -10,7 +10,7 @@ import tomli_w
 import xarray
 
 from pipeline.case import MethodSpec, load_case
-from pipeline.fem.body import Body
+from pipeline.fem.body import Body, Formulation
 from pipeline.fem.compiled_body import make_body
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports, rotation_about
@@ -69,12 +69,13 @@ def make_solid(
     held: Iterable[int] = (),
     load: np.ndarray | None = None,
     mass: str = "consistent",
-    rotation_at: str = "points",
+    **formulation: str,
 ) -> Body:
+    """A body of the law, mass and formulation (rotation_at, volumetric) with these names in a case."""
     nodes = np.array(list(held), dtype=np.int64)
     force = np.zeros_like(mesh.points) if load is None else load
     parts = (LAWS[law].part(material, ROTATIONS[rotation].part), Supports(nodes), force, MASSES[mass].part)
-    return make_body(mesh, *parts, rotation_at=rotation_at)  # type: ignore[arg-type]  # the two names of the case
+    return make_body(mesh, *parts, formulation=Formulation(**formulation))  # type: ignore[arg-type]  # names of the case
 
 
 def make_clamped_bar(**keywords: object) -> Body:
