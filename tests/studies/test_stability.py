@@ -10,13 +10,16 @@ import xarray
 from pipeline.case import load_case
 from pipeline.cli import main
 from pipeline.errors import CaseError, MeshError
+from pipeline.fem.element import deformation_gradient
+from pipeline.mesh.quadratic import raise_order
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh, signed_volumes
+from pipeline.problem.problem import build_mesh
 from pipeline.studies.stability import study as stability
 from pipeline.studies.stability import trial
 from pipeline.studies.stability.perturbations import move_apexes, scramble_nodes
 from pipeline.studies.stability.slices import METHODS, SLICES, ExtremeScene, make_trial_settings
-from tests.bodies import PLANAR, assert_conventional, write_case
+from tests.bodies import PLANAR, assert_conventional, case_document, write_case
 
 ROOT = Path(__file__).resolve().parents[2]
 BAR = box((4.0, 12.0, 4.0), (2, 8, 2))
@@ -39,6 +42,18 @@ def test_apexes_move_by_the_given_part_of_the_way_to_their_bases(mesh, part):
     assert np.array_equal(x, move_apexes(mesh, free, part, seed=0))
 
 
+@pytest.mark.parametrize("mesh", [BAR, PLATE], ids=["bar", "plate"])
+@pytest.mark.parametrize("part", [0.9, 1.2])
+def test_in_meshes_of_order_two_the_nodes_of_sides_follow_the_apexes(mesh, part):
+    two, free = raise_order(mesh), np.arange(1, len(mesh.points))
+    both = np.concatenate([free, np.arange(len(mesh.points), len(two.points))])
+    x = move_apexes(two, both, part, seed=0)
+    assert np.array_equal(x[: len(mesh.points)], move_apexes(mesh, free, part, seed=0))
+    np.testing.assert_allclose(np.linalg.det(deformation_gradient(two, x)).min(), 1 - part, rtol=1e-9)
+    held = np.setdiff1d(np.arange(len(two.points)), free)
+    assert np.array_equal(move_apexes(two, free, part, seed=0)[held], two.points[held])
+
+
 def test_an_apex_that_cannot_be_moved_is_an_error_but_a_single_cell_is_not():
     one = Mesh(np.concatenate([np.zeros((1, 3)), np.eye(3)]), np.arange(4)[None])
     x = move_apexes(one, np.array([3]), 1.2, seed=0)
@@ -59,9 +74,13 @@ def test_a_scramble_moves_only_free_nodes_and_only_as_far_as_given():
 
 def make_settings(folder: Path, name: str, value: float, method: str, **sections: object) -> dict:
     case = load_case(write_case(folder, **sections))
-    mesh = PLATE if "mesh" in sections else box((1.0, 3.0, 1.0), (1, 3, 1))
     return make_trial_settings(
-        ExtremeScene.from_mesh(case, mesh), name, value, method, steps=sections.pop("steps", 4), tolerance=0.05
+        ExtremeScene.from_mesh(case, build_mesh(case)),
+        name,
+        value,
+        method,
+        steps=sections.pop("steps", 4),
+        tolerance=0.05,
     )
 
 
@@ -96,6 +115,29 @@ def test_a_trial_has_the_outcome_of_its_method(tmp_path, name, value, method, ex
     assert_finite(result)
     assert result["outcome"] == expected
     assert bool(result["message"]) == (expected == "refused")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "method", "expected"),
+    [
+        ("dt", 10.0, "polar backward_euler", "survives"),
+        ("dt", 10.0, "polar symplectic_euler", "refused"),
+        ("poisson_ratio", 0.4999, "auto bdf2", "survives"),
+        ("spin", 50.0, "linear backward_euler", "wrong_volume"),
+        ("spin", 50.0, "auto backward_euler", "survives"),
+        ("sliver", 1e-3, "polar symplectic_euler", "survives"),
+        ("scramble", 0.1, "converged backward_euler", "survives"),
+        ("inversion", 0.2, "polar backward_euler", "survives"),
+    ],
+)
+@pytest.mark.parametrize("d", [2, 3])
+def test_trials_run_on_meshes_of_order_two(tmp_path, d, name, value, method, expected):
+    sections = PLANAR if d == 2 else {}
+    document = case_document(**sections)
+    sections = {**sections, "schedule": {"dt": 0.1, "frames": 4}, "mesh": {**document["mesh"], "order": 2}}  # type: ignore[dict-item]  # a table
+    result = trial.run_trial(make_settings(tmp_path, name, value, method, **sections))
+    assert_finite(result)
+    assert result["outcome"] == expected, result["message"]
 
 
 @pytest.mark.parametrize("name", SLICES)

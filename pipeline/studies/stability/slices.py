@@ -6,7 +6,7 @@ from math import degrees
 from typing import Any
 
 from pipeline.case import Case
-from pipeline.mesh.simplex import Mesh
+from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.problem.methods import IMPLICIT_STEPPERS, STEP_LIMITS
 
 Settings = dict[str, Any]
@@ -45,7 +45,7 @@ class ExtremeScene:
     sound: float
 
     @classmethod
-    def from_mesh(cls, case: Case, mesh: Mesh) -> "ExtremeScene":
+    def from_mesh(cls, case: Case, mesh: ElementMesh) -> "ExtremeScene":
         """Return the scene of a case with that mesh."""
         m = case.material
         return cls(case, mesh.dimension, mesh.size, (m.youngs_modulus / m.density) ** 0.5)

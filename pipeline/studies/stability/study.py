@@ -11,7 +11,6 @@ from pipeline.case import Case
 from pipeline.errors import CaseError, quote_value
 from pipeline.formats.atomic import write_whole
 from pipeline.formats.netcdf import write_dataset
-from pipeline.mesh.simplex import require_simplices
 from pipeline.problem.problem import build, build_mesh
 from pipeline.studies.stability.figure import write_stability_figure
 from pipeline.studies.stability.results import Stability, make_dataset, make_summary
@@ -46,7 +45,7 @@ def study_stability(
     if not 0 < tolerance < 1:
         raise CaseError(f"tolerance: {tolerance:g} is not between 0 and 1")
     build(case.variant(case.variant_names[0]))  # so that a case that cannot be built is one error, not one per point
-    scene = ExtremeScene.from_mesh(case, require_simplices(build_mesh(case)))
+    scene = ExtremeScene.from_mesh(case, build_mesh(case))
     chosen = {name: SLICES[name].list_values(scene) for name in SLICES if name in slices or not slices}
     points = {
         (name, i, method): Point(

@@ -11,7 +11,10 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.case import Case, load_case
 from pipeline.errors import CaseError, MeshError, SolveError
-from pipeline.mesh.simplex import Mesh, require_simplices, signed_volumes
+from pipeline.fem.element import deformation_gradient
+from pipeline.mesh.element_mesh import ElementMesh
+from pipeline.mesh.quadratic import make_quadratic_mesh
+from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.problem.methods import STEP_LIMITS
 from pipeline.problem.problem import Problem, build
 from pipeline.run.frame import Frame
@@ -43,7 +46,7 @@ NO_RUN: Mapping[str, Any] = {
 class Course:
     """The course of a run: positions x (n, d) [m] at its start and after every step, and the error that ended it."""
 
-    mesh: Mesh
+    mesh: ElementMesh
     is_held: bool
     x: list[Floats] = field(default_factory=list)
     iterations: int = 0
@@ -51,8 +54,10 @@ class Course:
     message: str = ""
 
     def compute_ratios(self, step: int) -> Floats:
-        """Return J of every cell (e,) after a step."""
-        return signed_volumes(self.x[step], self.mesh.cells) / self.mesh.rest_volumes
+        """Return J of every cell (e,) after a step; of order 2, det F at every integration point (p,)."""
+        if self.mesh.order == 1:
+            return signed_volumes(self.x[step], self.mesh.cells) / self.mesh.rest_volumes
+        return np.asarray(np.linalg.det(deformation_gradient(self.mesh, self.x[step])))
 
     def find_worst_ratio(self) -> float:
         """Return the J of any cell and step that is farthest from 1."""
@@ -111,14 +116,14 @@ def _build_trial(settings: Mapping[str, Any], method: Mapping[str, Any]) -> Prob
         # built with a stepper for which no step is too long
         plain = build(_make_case(settings, changes | {"method.stepper": "backward_euler", "method.law": "linear"}))
         if "sliver" in disturbance:
-            rest, free = require_simplices(plain.body.mesh), plain.body.free
-            mesh = replace(rest, points=move_apexes(rest, free, 1 - disturbance["sliver"], seed=seed))
+            rest, free = plain.body.mesh, plain.body.free
+            mesh = _move_points(rest, move_apexes(rest, free, 1 - disturbance["sliver"], seed=seed))
         if settings["limit_share"] is not None:
             bound, _ = STEP_LIMITS[settings["method"]["stepper"]]  # of the trial, also for its reference
             limit = bound(replace(plain.body, mesh=mesh or plain.body.mesh))
             changes["schedule.dt"] = settings["limit_share"] * limit
     problem = build(_make_case(settings, changes), mesh=mesh)
-    rest, free, start = require_simplices(problem.body.mesh), problem.body.free, problem.start
+    rest, free, start = problem.body.mesh, problem.body.free, problem.start
     if "scramble" in disturbance:
         x = scramble_nodes(rest, free, disturbance["scramble"], seed=seed)
     elif "inversion" in disturbance:
@@ -128,10 +133,16 @@ def _build_trial(settings: Mapping[str, Any], method: Mapping[str, Any]) -> Prob
     return replace(problem, start=State(0, x, start.v))
 
 
+def _move_points(mesh: ElementMesh, points: Floats) -> ElementMesh:
+    """Return a mesh of the same cells with other points (n, d); raises MeshError if cells are inverted or folded."""
+    make = Mesh if mesh.order == 1 else make_quadratic_mesh
+    return make(points, mesh.cells, mesh.name, mesh.notes)
+
+
 def _run_problem(problem: Problem) -> Course:
     """Return the course of a problem's run; a SolveError becomes its message."""
     body = problem.body
-    course = Course(require_simplices(body.mesh), is_held=bool(body.supports.nodes.size))
+    course = Course(body.mesh, is_held=bool(body.supports.nodes.size))
     supplied, before = 0.0, None
     try:
         for frame in frames(problem):
