@@ -28,12 +28,14 @@ class KernelSet(NamedTuple):
 
 def load_kernels(order: int, dimension: int) -> KernelSet | None:
     """Return the kernels of elements of an order and a dimension, None if there are none."""
-    from pipeline.fem.kernels import frame_error, tangent, tetrahedron, tetrahedron10, triangle
+    from pipeline.fem.kernels import frame_error, frame_error10, tangent, tangent10, tetrahedron, tetrahedron10
+    from pipeline.fem.kernels import triangle, triangle6
 
     table = {
         (1, 2): KernelSet(triangle, triangle, triangle),
         (1, 3): KernelSet(tetrahedron, frame_error, tangent),
-        (2, 3): KernelSet(tetrahedron10, None, None),
+        (2, 2): KernelSet(triangle6, triangle6, triangle6),
+        (2, 3): KernelSet(tetrahedron10, frame_error10, tangent10),
     }
     return table.get((order, dimension))
 

@@ -58,6 +58,17 @@ def _factors(A, mu, c, crease, projected, Q, H):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def find_rotation_factors(F, R, lane, mu, lam, crease, projected, S, Q, H):
+    """Write H (3, 3) of a lane of F and its polar rotations R (9, LANES); S and Q (3, 3) are scratch."""
+    _stretch(F, R, lane, S)
+    trace = S[0, 0] + S[1, 1] + S[2, 2]
+    for i in range(3):
+        for j in range(3):
+            S[i, j] = (trace if i == j else 0.0) - S[i, j]
+    _factors(S, mu, lam * (trace - 3.0) - 2.0 * mu, crease, projected, Q, H)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def _cross_gradients(G, R, lane, w):
     """Write R (q x grad N_b) into w (4, 3, 3): corners b, components, q = e_0, e_1, e_2; corners sum to zero."""
     for i in range(3):
@@ -79,12 +90,7 @@ def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projec
         compute_gradients(x, cells, G[first // LANES], first, R, F)
         find_polar_rotations(F, count, R, root, good, C)
         for l in range(count):
-            _stretch(F, R, l, S)
-            trace = S[0, 0] + S[1, 1] + S[2, 2]
-            for i in range(3):
-                for j in range(3):
-                    S[i, j] = (trace if i == j else 0.0) - S[i, j]
-            _factors(S, mu, lam * (trace - 3.0) - 2.0 * mu, crease, projected, Q, H)
+            find_rotation_factors(F, R, l, mu, lam, crease, projected, S, Q, H)
             _cross_gradients(G[first // LANES], R, l, w)
             _add_squares(scale * V[first + l], H, w, pairs[first + l], A)
 

@@ -26,7 +26,7 @@ def _gradient(x, cells, G, e):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _polar(F):
+def find_polar(F):
     """Return cosine and sine of the rotation closest to F."""
     a, b, c, d = F
     cosine, sine = a + d, c - b
@@ -37,10 +37,10 @@ def _polar(F):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _rotation(rotation, F):
+def find_rotation(rotation, F):
     """Return cosine and sine of the rotation POLAR, GRAM_SCHMIDT or IDENTITY of F."""
     if rotation == POLAR:
-        return _polar(F)
+        return find_polar(F)
     a, b, c, d = F
     length = np.hypot(a, c)  # of the first column, whose direction Gram-Schmidt keeps
     if rotation != GRAM_SCHMIDT or not length > _NULL**2 * max(abs(b), abs(d)):
@@ -49,7 +49,7 @@ def _rotation(rotation, F):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _stress(F, R, mu, lam):
+def compute_stress(F, R, mu, lam):
     """Return the four entries of P = R (2 mu eps + lam tr(eps) I), eps = sym(R^T F) - I, and the energy density W."""
     (a, b, c, d), (cosine, sine) = F, R
     eps00, eps11 = cosine * a + sine * c - 1.0, cosine * d - sine * b - 1.0
@@ -61,12 +61,12 @@ def _stress(F, R, mu, lam):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _load(R, e):
+def load_rotation(R, e):
     return R[e, 0, 0], R[e, 1, 0]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _store(R, e, rotation):
+def store_rotation(R, e, rotation):
     cosine, sine = rotation
     R[e, 0, 0], R[e, 0, 1], R[e, 1, 0], R[e, 1, 1] = cosine, -sine, sine, cosine
 
@@ -77,7 +77,7 @@ def energy(x, cells, G, V, mu, lam, rotation):
     total = 0.0
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        total += V[e] * _stress(F, _rotation(rotation, F), mu, lam)[4]
+        total += V[e] * compute_stress(F, find_rotation(rotation, F), mu, lam)[4]
     return total
 
 
@@ -99,7 +99,7 @@ def force(x, cells, G, V, mu, lam, rotation, f):
     f[:] = 0.0
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        _scatter_force(cells[e], G[e], V[e], _stress(F, _rotation(rotation, F), mu, lam), f)
+        _scatter_force(cells[e], G[e], V[e], compute_stress(F, find_rotation(rotation, F), mu, lam), f)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -113,8 +113,8 @@ def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, has_rotations, Rs
     g = np.empty((3, 2))
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        R = _load(Rs, e) if has_rotations else _rotation(rotation, F)
-        _scatter_force(cells[e], G[e], V[e], _stress(F, R, mu, lam), f)
+        R = load_rotation(Rs, e) if has_rotations else find_rotation(rotation, F)
+        _scatter_force(cells[e], G[e], V[e], compute_stress(F, R, mu, lam), f)
         _rotate_gradients(G[e], R[0], R[1], g)
         vm, vl, k = scale * V[e] * mu, scale * V[e] * lam, 0
         for a in range(3):
@@ -138,6 +138,14 @@ def _rotate_gradients(G, cosine, sine, g):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def find_rotation_factor(F, cosine, sine, mu, lam, crease):
+    """Return mu + c / tr S, c = lam (tr S - 2) - 2 mu, bounded near the crease."""
+    trace = cosine * (F[0] + F[3]) + sine * (F[2] - F[1])
+    c = lam * (trace - 2.0) - 2.0 * mu
+    return mu + c / max(trace, max(abs(c) / (crease * mu), 2.2250738585072014e-308))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projected, A):
     """Add scale times the difference between the exact and the frozen tangent to A; `projected` omits negative factors.
 
@@ -146,10 +154,8 @@ def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projec
     w = np.empty((3, 2))
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        cosine, sine = _polar(F)
-        trace = cosine * (F[0] + F[3]) + sine * (F[2] - F[1])
-        c = lam * (trace - 2.0) - 2.0 * mu
-        factor = mu + c / max(trace, max(abs(c) / (crease * mu), 2.2250738585072014e-308))
+        cosine, sine = find_polar(F)
+        factor = find_rotation_factor(F, cosine, sine, mu, lam, crease)
         if projected and factor <= 0.0:
             continue
         _rotate_gradients(G[e], -sine, cosine, w)
@@ -167,8 +173,8 @@ def rotations(x, cells, G, rotation, R):
     """Write the rotation of every cell's F into R (e, 2, 2); return the smallest trace."""
     least = 2.0
     for e in range(len(cells)):
-        cosine_sine = _rotation(rotation, _gradient(x, cells, G, e))
-        _store(R, e, cosine_sine)
+        cosine_sine = find_rotation(rotation, _gradient(x, cells, G, e))
+        store_rotation(R, e, cosine_sine)
         least = min(least, 2.0 * cosine_sine[0])
     return least
 
@@ -183,13 +189,13 @@ def nodal_rotations(x, cells, G, V, R):
             for k in range(4):
                 R[cells[e, a], k // 2, k % 2] += V[e] * F[k]
     for n in range(len(R)):
-        _store(R, n, _polar((R[n, 0, 0], R[n, 0, 1], R[n, 1, 0], R[n, 1, 1])))
+        store_rotation(R, n, find_polar((R[n, 0, 0], R[n, 0, 1], R[n, 1, 0], R[n, 1, 1])))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _square_distance(F, R, U, mu, lam):
+def square_distance(F, R, U, mu, lam):
     """Return |P(F,R) - P(F,U)|^2."""
-    P, Q = _stress(F, R, mu, lam), _stress(F, U, mu, lam)
+    P, Q = compute_stress(F, R, mu, lam), compute_stress(F, U, mu, lam)
     return (P[0] - Q[0]) ** 2 + (P[1] - Q[1]) ** 2 + (P[2] - Q[2]) ** 2 + (P[3] - Q[3]) ** 2
 
 
@@ -203,12 +209,12 @@ def measure_frame_error(x, cells, G, mu, lam, used, reached):
     least, largest, own, finite = 2.0, 0.0, 2.0, 0.0
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        R = _polar(F)
-        U = _load(used, e) if len(used) > 0 else (1.0, 0.0)
+        R = find_polar(F)
+        U = load_rotation(used, e) if len(used) > 0 else (1.0, 0.0)
         least = min(least, 2.0 * (R[0] * U[0] + R[1] * U[1]))
-        apart = _square_distance(F, R, U, mu, lam)
+        apart = square_distance(F, R, U, mu, lam)
         largest, own, finite = max(largest, apart), min(own, 2.0 * R[0]), finite + 0.0 * apart
-        _store(reached, e, R)
+        store_rotation(reached, e, R)
     return least + finite, np.sqrt(largest), own + finite
 
 
@@ -218,8 +224,8 @@ def bound_frame_error(x, cells, G, mu, lam):
     tangent, largest, finite = 0.0, 0.0, 0.0
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        R = _polar(F)
+        R = find_polar(F)
         tangent = max(tangent, abs(R[1]) / (1.0 + R[0]) if R[0] > -1.0 else np.inf)
-        apart = _square_distance(F, R, (1.0, 0.0), mu, lam)
+        apart = square_distance(F, R, (1.0, 0.0), mu, lam)
         largest, finite = max(largest, apart), finite + 0.0 * apart
     return tangent + finite, np.sqrt(largest)

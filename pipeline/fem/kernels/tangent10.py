@@ -1,0 +1,71 @@
+"""Compiled: the difference between the exact and the frozen tangent in tetrahedra of order 2; see tangent.py.
+
+Numba does not notice changes in the modules that are compiled into this file: `make clean`.
+"""
+
+import numpy as np
+from numba import njit
+
+from pipeline.fem.kernels.rotation import LANES, allocate_lanes, find_polar_rotations
+from pipeline.fem.kernels.tangent import find_rotation_factors
+from pipeline.fem.kernels.tetrahedron10 import NODES, compute_gradients
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _cross_gradients(G, R, lane, w):
+    """Write R (q x grad N_b) of a point into w (3, 30): q = e_0, e_1, e_2, entry 3 b + i; nodes sum to zero."""
+    for i in range(3):
+        r0, r1, r2 = R[3 * i, lane], R[3 * i + 1, lane], R[3 * i + 2, lane]
+        w[0, i] = w[1, i] = w[2, i] = 0.0
+        for b in range(NODES - 1):
+            g0, g1, g2 = G[3 * b, lane], G[3 * b + 1, lane], G[3 * b + 2, lane]
+            k = 3 * b + 3 + i
+            w[0, k], w[1, k], w[2, k] = r2 * g1 - r1 * g2, r0 * g2 - r2 * g0, r1 * g0 - r0 * g1
+            for m in range(3):
+                w[m, i] -= w[m, k]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _add_squares(factor, H, w, T):
+    """Add factor w^T H w to the blocks of T (30, 30) on and below the diagonal."""
+    for r in range(3 * NODES):
+        h0 = factor * (w[0, r] * H[0, 0] + w[1, r] * H[1, 0] + w[2, r] * H[2, 0])
+        h1 = factor * (w[0, r] * H[0, 1] + w[1, r] * H[1, 1] + w[2, r] * H[2, 1])
+        h2 = factor * (w[0, r] * H[0, 2] + w[1, r] * H[1, 2] + w[2, r] * H[2, 2])
+        for c in range(3 * (r // 3) + 3):
+            T[r, c] += h0 * w[0, c] + h1 * w[1, c] + h2 * w[2, c]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _scatter(T, blocks, A):
+    """Add T (30, 30) to the 55 blocks (a, b <= a) of a cell."""
+    k = 0
+    for a in range(NODES):
+        for b in range(a + 1):
+            block = A[blocks[k]]
+            k += 1
+            for i in range(3):
+                for j in range(3):
+                    block[i, j] += T[3 * a + i, 3 * b + j]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add_rotation_stiffness(x, cells, G, weights, mu, lam, pairs, scale, crease, projected, A):
+    """Add scale times the term of tangent.py to A (blocks, 3, 3); `projected` leaves out negative factors."""
+    F, R, _, _, root, good, C = allocate_lanes()
+    D, (e, q) = np.zeros((3 * (NODES - 1), LANES)), weights.shape
+    S, Q, H = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    w, T = np.zeros((3, 3 * NODES)), np.zeros((3 * NODES, 3 * NODES))
+    for first in range(0, e * q, LANES):
+        count = min(LANES, e * q - first)
+        compute_gradients(x, cells, G[first // LANES], first, q, D, F)
+        find_polar_rotations(F, count, R, root, good, C)
+        for l in range(count):
+            n, point = (first + l) // q, (first + l) % q
+            find_rotation_factors(F, R, l, mu, lam, crease, projected, S, Q, H)
+            _cross_gradients(G[first // LANES], R, l, w)
+            if point == 0:
+                T[:] = 0.0
+            _add_squares(scale * weights[n, point], H, w, T)
+            if point == q - 1:
+                _scatter(T, pairs[n], A)
