@@ -19,7 +19,7 @@ from pipeline.mesh.element_mesh import ElementMesh
 
 
 class KernelSet(NamedTuple):
-    """The modules of kernels of one kind of element; frame errors or tangents that are None are summed by numpy."""
+    """The modules of kernels of one kind of element: for sums, frame errors and exact tangents."""
 
     sums: Any
     frame_errors: Any
@@ -28,8 +28,16 @@ class KernelSet(NamedTuple):
 
 def load_kernels(order: int, dimension: int) -> KernelSet | None:
     """Return the kernels of elements of an order and a dimension, None if there are none."""
-    from pipeline.fem.kernels import frame_error, frame_error10, tangent, tangent10, tetrahedron, tetrahedron10
-    from pipeline.fem.kernels import triangle, triangle6
+    from pipeline.fem.kernels import (
+        frame_error,
+        frame_error10,
+        tangent,
+        tangent10,
+        tetrahedron,
+        tetrahedron10,
+        triangle,
+        triangle6,
+    )
 
     table = {
         (1, 2): KernelSet(triangle, triangle, triangle),
@@ -72,33 +80,33 @@ class CompiledBody(Body):
         block. If the order is 1, weights are (e,); else (e, q), and whether the dilatation is a mean comes last.
         """
         m, (weights, gradients) = self.material, self.mesh.integration
-        cells, gradients = self._sort_nodes(gradients)
-        if self.mesh.dimension == 3:
-            cells, gradients = _fill_lanes(cells, gradients)
-        elif self.mesh.order == 1:
-            gradients = gradients[:, 0]
+        cells, G = self._arrange_gradients(gradients)
         if self.mesh.order == 1:
-            return (cells.astype(np.int32), gradients, self.mesh.rest_volumes, m.mu, m.lam)
-        return (cells.astype(np.int32), gradients, weights, m.mu, m.lam, self.formulation.volumetric == "mean")
+            return (cells, G[:, 0] if self.mesh.dimension == 2 else G, self.mesh.rest_volumes, m.mu, m.lam)
+        return (cells, G, weights, m.mu, m.lam, self.formulation.volumetric == "mean")
 
     @cached_property
     def _sites(self) -> tuple[Any, ...]:
-        """Return the arguments of the kernel that finds rotations at their sites, between x and the method."""
-        q = self.mesh.integration.weights.shape[1]
+        """Return the arguments of the kernels that find rotations at their sites, between x and the method."""
+        weights, gradients = self.mesh.integration
         if self.mesh.order == 1:
             return self._cells[:2]
         if self.formulation.rotation_at == "points":
-            return (*self._cells[:2], q)
-        weights, gradients = self.mesh.integration
+            return (*self._cells[:2], weights.shape[1])
         mean = np.einsum("eq,eqai->eai", weights / weights.sum(axis=1, keepdims=True), gradients)
-        cells, gradients = _fill_lanes(*self._sort_nodes(mean[:, None]))
-        return (cells.astype(np.int32), gradients, 1)
+        return (*self._arrange_gradients(mean[:, None]), 1)
 
-    def _sort_nodes(self, gradients: Floats) -> tuple[Ints, Floats]:
-        """Return the cells and gradients (e, q, k, d) with nodes sorted by row, without the first one's gradients."""
+    def _arrange_gradients(self, gradients: Floats) -> tuple[Ints, Floats]:
+        """Return the cells and gradients (e, q, k, d) with nodes sorted by row, without the first one's gradients.
+
+        In space they fill whole blocks of lanes.
+        """
         nodes = sort_corners(self.mesh, self.order)
         cells = np.take_along_axis(self.mesh.cells, nodes, axis=1)
-        return cells, np.take_along_axis(gradients, nodes[:, None, 1:, None], axis=2)
+        gradients = np.take_along_axis(gradients, nodes[:, None, 1:, None], axis=2)
+        if self.mesh.dimension == 3:
+            cells, gradients = _fill_lanes(cells, gradients)
+        return cells.astype(np.int32), gradients
 
     @cached_property
     def _element_rotations(self) -> Floats:
@@ -118,26 +126,36 @@ class CompiledBody(Body):
             (cells[:0], G[:0], weights[:0], *rest),
             self._no_rotations,
         )
-        self._modules.sums.energy(X, *none, self._rotation)
+        given = () if self.mesh.order == 1 else (False, nothing)
+        self._modules.sums.energy(X, *none, self._rotation, *given)
         f = np.empty_like(X)
         if solves:
             self._modules.sums.nodal_rotations(X, *none[:3], nothing)
             self._modules.sums.linearize(X, *none, self._rotation, self._pairs[:0], 1.0, False, nothing, f, nothing)
         if frame_errors:
             self.update_rotations(X, nothing)
-            if self._modules.frame_errors is not None:
-                self._modules.frame_errors.bound_frame_error(X, *none[:2], *rest[:2])
-                self._modules.frame_errors.measure_frame_error(X, *none[:2], *rest[:2], nothing, nothing)
+            sites = (cells[:0], G[:0], *self._sites[2:], *rest[:2])
+            self._modules.frame_errors.bound_frame_error(X, *sites)
+            self._modules.frame_errors.measure_frame_error(X, *sites, nothing, nothing)
         if tangents or not solves:
-            self._modules.sums.force(X, *none, self._rotation, f)
-        if tangents and self._modules.tangents is not None:
+            self._modules.sums.force(X, *none, self._rotation, *given, f)
+        if tangents:
             self._modules.tangents.add_rotation_stiffness(X, *none, self._pairs[:0], 1.0, CREASE, False, nothing)
+
+    def _give_rotations(self, x: Floats, R: Floats | None) -> tuple[bool, Floats]:
+        """Return whether kernels take their rotations from an array, and that array: R, or one of each element."""
+        if R is not None:
+            return True, _to_contiguous(R)
+        if self.site_count == self.mesh.integration.weights.size:
+            return False, self._no_rotations
+        self.update_rotations(x, self._element_rotations)
+        return True, self._element_rotations
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, d)."""
-        if self.site_count < self.mesh.integration.weights.size:
-            return super().energy(x)
-        return float(self._modules.sums.energy(_to_contiguous(x), *self._cells, self._rotation))
+        x = _to_contiguous(x)
+        given = () if self.mesh.order == 1 else self._give_rotations(x, None)
+        return float(self._modules.sums.energy(x, *self._cells, self._rotation, *given))
 
     def rotations(self, x: Floats) -> Floats:
         """Return the rotations of the law (s, d, d) at positions x (n, d)."""
@@ -158,45 +176,43 @@ class CompiledBody(Body):
 
     def measure_frame_error(self, x: Floats, used: Floats | None, reached: Floats) -> FrameError:
         """Write the rotations at x into reached (s, d, d); return their frame error from those used."""
-        if self._rotation != POLAR or self._modules.frame_errors is None:
+        if self._rotation != POLAR:
             return super().measure_frame_error(x, used, reached)
-        cells, G, _, mu, lam, *_ = self._cells
         before, d = self._no_rotations if used is None else used, x.shape[1]
         trace, stress, own = self._modules.frame_errors.measure_frame_error(
-            _to_contiguous(x), cells, G, mu, lam, before, reached
+            _to_contiguous(x), *self._sites, *self._cells[3:5], before, reached
         )
         return FrameError(indicator(trace, d, stress, self.material), spurious_volume(own, d))
 
     def bound_frame_error(self, x: Floats) -> float:
         """Return an upper bound on the indicator of measure_frame_error(x, None) that needs no rotations."""
-        if self._rotation != POLAR or self._modules.frame_errors is None:
+        if self._rotation != POLAR:
             return super().bound_frame_error(x)
-        cells, G, _, mu, lam, *_ = self._cells
-        tangent, stress = self._modules.frame_errors.bound_frame_error(_to_contiguous(x), cells, G, mu, lam)
+        tangent, stress = self._modules.frame_errors.bound_frame_error(
+            _to_contiguous(x), *self._sites, *self._cells[3:5]
+        )
         cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, from the tangent of half of it
         return indicator(2 * cosine + x.shape[1] - 2, x.shape[1], stress, self.material)
 
     def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
-        """Return the elastic forces ON the nodes (n, d) [N]; if R is given, with numpy as in Body."""
-        if R is not None or self.site_count < self.mesh.integration.weights.size:
+        """Return the elastic forces ON the nodes (n, d) [N]; if R is given and the order 1, with numpy as in Body."""
+        if R is not None and self.mesh.order == 1:
             return super().force(x, R, out=out)
-        f = np.empty_like(x) if out is None else out
-        self._modules.sums.force(_to_contiguous(x), *self._cells, self._rotation, f)
+        f, x = np.empty_like(x) if out is None else out, _to_contiguous(x)
+        given = () if self.mesh.order == 1 else self._give_rotations(x, R)
+        self._modules.sums.force(x, *self._cells, self._rotation, *given, f)
         return f
 
     def add_stiffness(
         self, x: Floats, scale: float, f: Floats, A: Floats, *, R: Floats | None = None, kind: Tangent = "frozen"
     ) -> None:
         """Write the elastic forces into f (n, d) and add scale * K to A (blocks, d, d)."""
-        has_kernel = self._rotation == POLAR and self._modules.tangents is not None
-        if kind != "frozen" and (R is not None or not has_kernel):
+        x = _to_contiguous(x)
+        given, used = self._give_rotations(x, R)
+        if kind != "frozen" and (given or self._rotation != POLAR):
             super().add_stiffness(x, scale, f, A, R=R, kind=kind)
             return
-        if R is None and self.site_count < self.mesh.integration.weights.size:
-            self.update_rotations(x, self._element_rotations)
-            R = self._element_rotations
-        x, used = _to_contiguous(x), self._no_rotations if R is None else _to_contiguous(R)
-        self._modules.sums.linearize(x, *self._cells, self._rotation, self._pairs, scale, R is not None, used, f, A)
+        self._modules.sums.linearize(x, *self._cells, self._rotation, self._pairs, scale, given, used, f, A)
         if kind != "frozen":
             projected = kind == "projected"
             self._modules.tangents.add_rotation_stiffness(x, *self._cells, self._pairs, scale, CREASE, projected, A)

@@ -16,14 +16,19 @@ from pipeline.fem.kernels.tetrahedron import compute_gradients
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _stretch(F, R, lane, S):
-    """Write sym(R^T F) of a lane into S (3, 3)."""
+def measure_stretch(F, R, lane, A):
+    """Write A = tr(S) I - S, S = sym(R^T F), of a lane into A (3, 3); return tr(S)."""
     for i in range(3):
         for j in range(3):
-            S[i, j] = R[i, lane] * F[j, lane] + R[3 + i, lane] * F[3 + j, lane] + R[6 + i, lane] * F[6 + j, lane]
-    S[0, 1] = S[1, 0] = 0.5 * (S[0, 1] + S[1, 0])
-    S[0, 2] = S[2, 0] = 0.5 * (S[0, 2] + S[2, 0])
-    S[1, 2] = S[2, 1] = 0.5 * (S[1, 2] + S[2, 1])
+            A[i, j] = R[i, lane] * F[j, lane] + R[3 + i, lane] * F[3 + j, lane] + R[6 + i, lane] * F[6 + j, lane]
+    A[0, 1] = A[1, 0] = 0.5 * (A[0, 1] + A[1, 0])
+    A[0, 2] = A[2, 0] = 0.5 * (A[0, 2] + A[2, 0])
+    A[1, 2] = A[2, 1] = 0.5 * (A[1, 2] + A[2, 1])
+    trace = A[0, 0] + A[1, 1] + A[2, 2]
+    for i in range(3):
+        for j in range(3):
+            A[i, j] = (trace if i == j else 0.0) - A[i, j]
+    return trace
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -35,7 +40,7 @@ def _is_above(A, least):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _factors(A, mu, c, crease, projected, Q, H):
+def find_rotation_factors(A, mu, c, crease, projected, Q, H):
     """Write H (3, 3) for A, which is overwritten; Q is scratch."""
     least = max(abs(c) / (crease * mu), 2.2250738585072014e-308)
     if _is_above(A, max(least, -c / mu) if projected else least):  # no factor to bound or leave out
@@ -55,17 +60,6 @@ def _factors(A, mu, c, crease, projected, Q, H):
             for i in range(3):
                 for j in range(3):
                     H[i, j] += factor * Q[i, m] * Q[j, m]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def find_rotation_factors(F, R, lane, mu, lam, crease, projected, S, Q, H):
-    """Write H (3, 3) of a lane of F and its polar rotations R (9, LANES); S and Q (3, 3) are scratch."""
-    _stretch(F, R, lane, S)
-    trace = S[0, 0] + S[1, 1] + S[2, 2]
-    for i in range(3):
-        for j in range(3):
-            S[i, j] = (trace if i == j else 0.0) - S[i, j]
-    _factors(S, mu, lam * (trace - 3.0) - 2.0 * mu, crease, projected, Q, H)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -90,7 +84,8 @@ def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projec
         compute_gradients(x, cells, G[first // LANES], first, R, F)
         find_polar_rotations(F, count, R, root, good, C)
         for l in range(count):
-            find_rotation_factors(F, R, l, mu, lam, crease, projected, S, Q, H)
+            trace = measure_stretch(F, R, l, S)
+            find_rotation_factors(S, mu, lam * (trace - 3.0) - 2.0 * mu, crease, projected, Q, H)
             _cross_gradients(G[first // LANES], R, l, w)
             _add_squares(scale * V[first + l], H, w, pairs[first + l], A)
 

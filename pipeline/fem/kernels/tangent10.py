@@ -7,8 +7,8 @@ import numpy as np
 from numba import njit
 
 from pipeline.fem.kernels.rotation import LANES, allocate_lanes, find_polar_rotations
-from pipeline.fem.kernels.tangent import find_rotation_factors
-from pipeline.fem.kernels.tetrahedron10 import NODES, compute_gradients
+from pipeline.fem.kernels.tangent import find_rotation_factors, measure_stretch
+from pipeline.fem.kernels.tetrahedron10 import NODES, average_dilatations, compute_gradients
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -50,9 +50,9 @@ def _scatter(T, blocks, A):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def add_rotation_stiffness(x, cells, G, weights, mu, lam, pairs, scale, crease, projected, A):
+def add_rotation_stiffness(x, cells, G, weights, mu, lam, is_mean, pairs, scale, crease, projected, A):
     """Add scale times the term of tangent.py to A (blocks, 3, 3); `projected` leaves out negative factors."""
-    F, R, _, _, root, good, C = allocate_lanes()
+    F, R, _, theta, root, good, C = allocate_lanes()
     D, (e, q) = np.zeros((3 * (NODES - 1), LANES)), weights.shape
     S, Q, H = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     w, T = np.zeros((3, 3 * NODES)), np.zeros((3 * NODES, 3 * NODES))
@@ -60,9 +60,14 @@ def add_rotation_stiffness(x, cells, G, weights, mu, lam, pairs, scale, crease, 
         count = min(LANES, e * q - first)
         compute_gradients(x, cells, G[first // LANES], first, q, D, F)
         find_polar_rotations(F, count, R, root, good, C)
+        if is_mean:
+            average_dilatations(F, R, weights, first, count, theta)
         for l in range(count):
             n, point = (first + l) // q, (first + l) % q
-            find_rotation_factors(F, R, l, mu, lam, crease, projected, S, Q, H)
+            dilatation = measure_stretch(F, R, l, S) - 3.0
+            if is_mean:
+                dilatation = theta[l]
+            find_rotation_factors(S, mu, lam * dilatation - 2.0 * mu, crease, projected, Q, H)
             _cross_gradients(G[first // LANES], R, l, w)
             if point == 0:
                 T[:] = 0.0

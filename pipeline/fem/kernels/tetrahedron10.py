@@ -47,37 +47,58 @@ def compute_gradients(x, cells, G, first, q, D, F):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _add_mean_pressure(F, R, weights, first, count, lam, P, W):
-    """Add lam theta R to P and lam theta^2 / 2 to W at `count` points, theta the mean of tr(R^T F - I) over a cell."""
+def average_dilatations(F, R, weights, first, count, theta):
+    """Write the means over cells of tr(R^T F - I) into theta (LANES,) at each of their points."""
     q = weights.shape[1]
     for c in range(count // q):
-        volume = theta = 0.0
-        for l in range(q):
-            w, lane = weights[first // q + c, l], c * q + l
-            trace = -3.0
+        volume = total = 0.0
+        for l in range(c * q, (c + 1) * q):
+            w, trace = weights[first // q + c, l - c * q], -3.0
             for k in range(9):
-                trace += R[k, lane] * F[k, lane]
-            volume += w
-            theta += w * trace
-        theta /= volume
-        for lane in range(c * q, (c + 1) * q):
-            for k in range(9):
-                P[k, lane] += lam * theta * R[k, lane]
-            W[lane] += 0.5 * lam * theta * theta
+                trace += R[k, l] * F[k, l]
+            volume, total = volume + w, total + w * trace
+        for l in range(c * q, (c + 1) * q):
+            theta[l] = total / volume
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def energy(x, cells, G, weights, mu, lam, is_mean, rotation):
-    """Return sum w W(F)."""
+def _compute_stresses(F, R, weights, first, count, mu, lam, is_mean, theta, P, W):
+    """Write P and W of LANES points, with the mean dilatation theta (LANES,), which is written, if is_mean."""
+    if not is_mean:
+        compute_stresses(F, R, mu, lam, P, W)
+        return
+    compute_stresses(F, R, mu, 0.0, P, W)
+    average_dilatations(F, R, weights, first, count, theta)
+    for k in range(9):
+        for l in range(LANES):
+            P[k, l] += lam * theta[l] * R[k, l]
+    for l in range(LANES):
+        W[l] += 0.5 * lam * theta[l] * theta[l]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _load_rotations(Rs, first, count, q, R):
+    """Copy the rotations Rs (s, 3, 3) of `count` points into lanes (9, LANES); s counts points, or cells of q each."""
+    for l in range(count):
+        site = Rs[(first + l) // q]
+        for i in range(3):
+            for j in range(3):
+                R[3 * i + j, l] = site[i, j]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def energy(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs):
+    """Return sum w W(F), with the rotations Rs (s, 3, 3) if has_rotations, else those of x."""
     F, R, P, W, root, good, C = allocate_lanes()
     D, (e, q), total = np.zeros((_ENTRIES, LANES)), weights.shape, 0.0
     for first in range(0, e * q, LANES):
         count = min(LANES, e * q - first)
         compute_gradients(x, cells, G[first // LANES], first, q, D, F)
-        find_rotations(rotation, F, count, R, root, good, C)
-        compute_stresses(F, R, mu, 0.0 if is_mean else lam, P, W)
-        if is_mean:
-            _add_mean_pressure(F, R, weights, first, count, lam, P, W)
+        if has_rotations:
+            _load_rotations(Rs, first, count, q if len(Rs) == e else 1, R)
+        else:
+            find_rotations(rotation, F, count, R, root, good, C)
+        _compute_stresses(F, R, weights, first, count, mu, lam, is_mean, D[0], P, W)
         for l in range(count):
             p = first + l
             total += weights[p // q, p % q] * W[l]
@@ -112,18 +133,19 @@ def _scatter_forces(cells, G, weights, P, first, count, D, f):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def force(x, cells, G, weights, mu, lam, is_mean, rotation, f):
-    """Write f_a = -sum w P grad N_a into f (n, 3)."""
+def force(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs, f):
+    """Write f_a = -sum w P grad N_a into f (n, 3), with the rotations Rs (s, 3, 3) if has_rotations."""
     f[:] = 0.0
     F, R, P, W, root, good, C = allocate_lanes()
     D, (e, q) = np.zeros((_ENTRIES, LANES)), weights.shape
     for first in range(0, e * q, LANES):
         count = min(LANES, e * q - first)
         compute_gradients(x, cells, G[first // LANES], first, q, D, F)
-        find_rotations(rotation, F, count, R, root, good, C)
-        compute_stresses(F, R, mu, 0.0 if is_mean else lam, P, W)
-        if is_mean:
-            _add_mean_pressure(F, R, weights, first, count, lam, P, W)
+        if has_rotations:
+            _load_rotations(Rs, first, count, q if len(Rs) == e else 1, R)
+        else:
+            find_rotations(rotation, F, count, R, root, good, C)
+        _compute_stresses(F, R, weights, first, count, mu, lam, is_mean, D[0], P, W)
         _scatter_forces(cells, G[first // LANES], weights, P, first, count, D, f)
 
 
@@ -188,16 +210,6 @@ def _scatter_mean_stiffness(g, weights, first, lam, blocks, total, A):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _load_rotations(Rs, first, count, q, R):
-    """Copy the rotations Rs (s, 3, 3) of `count` points into lanes (9, LANES); s counts points, or cells of q each."""
-    for l in range(count):
-        site = Rs[(first + l) // q]
-        for i in range(3):
-            for j in range(3):
-                R[3 * i + j, l] = site[i, j]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
 def linearize(x, cells, G, weights, mu, lam, is_mean, rotation, pairs, scale, has_rotations, Rs, f, A):
     """Write the forces into f (n, 3) and add scale times the frozen stiffness to A (blocks, 3, 3).
 
@@ -214,9 +226,7 @@ def linearize(x, cells, G, weights, mu, lam, is_mean, rotation, pairs, scale, ha
             _load_rotations(Rs, first, count, q if len(Rs) == e else 1, R)
         else:
             find_rotations(rotation, F, count, R, root, good, C)
-        compute_stresses(F, R, mu, 0.0 if is_mean else lam, P, W)
-        if is_mean:
-            _add_mean_pressure(F, R, weights, first, count, lam, P, W)
+        _compute_stresses(F, R, weights, first, count, mu, lam, is_mean, D[0], P, W)
         _scatter_forces(cells, G[first // LANES], weights, P, first, count, D, f)
         _rotate_gradients(G[first // LANES], R, g)
         for c in range(count // q):

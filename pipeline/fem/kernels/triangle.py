@@ -62,11 +62,13 @@ def compute_stress(F, R, mu, lam):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def load_rotation(R, e):
+    """Return cosine and sine of R[e]."""
     return R[e, 0, 0], R[e, 1, 0]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def store_rotation(R, e, rotation):
+    """Write the rotation of a cosine and a sine into R[e]."""
     cosine, sine = rotation
     R[e, 0, 0], R[e, 0, 1], R[e, 1, 0], R[e, 1, 1] = cosine, -sine, sine, cosine
 
@@ -138,10 +140,8 @@ def _rotate_gradients(G, cosine, sine, g):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def find_rotation_factor(F, cosine, sine, mu, lam, crease):
-    """Return mu + c / tr S, c = lam (tr S - 2) - 2 mu, bounded near the crease."""
-    trace = cosine * (F[0] + F[3]) + sine * (F[2] - F[1])
-    c = lam * (trace - 2.0) - 2.0 * mu
+def find_rotation_factor(trace, mu, c, crease):
+    """Return mu + c / tr S, bounded near the crease."""
     return mu + c / max(trace, max(abs(c) / (crease * mu), 2.2250738585072014e-308))
 
 
@@ -155,7 +155,8 @@ def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projec
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
         cosine, sine = find_polar(F)
-        factor = find_rotation_factor(F, cosine, sine, mu, lam, crease)
+        trace = cosine * (F[0] + F[3]) + sine * (F[2] - F[1])
+        factor = find_rotation_factor(trace, mu, lam * (trace - 2.0) - 2.0 * mu, crease)
         if projected and factor <= 0.0:
             continue
         _rotate_gradients(G[e], -sine, cosine, w)

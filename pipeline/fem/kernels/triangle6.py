@@ -8,6 +8,7 @@ there are only e of them.
 import numpy as np
 from numba import njit
 
+from pipeline.fem.kernels import POLAR
 from pipeline.fem.kernels.triangle import (
     compute_stress,
     find_polar,
@@ -33,13 +34,50 @@ def _gradient(x, cell, G):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def energy(x, cells, G, weights, mu, lam, rotation):
-    """Return sum w W(F)."""
-    total, (e, q) = 0.0, weights.shape
+def _find_rotation(F, rotation, has_rotations, Rs, site):
+    """Return cosine and sine of the rotation Rs[site] if has_rotations, else of that of F."""
+    return load_rotation(Rs, site) if has_rotations else find_rotation(rotation, F)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _average_dilatation(x, cell, G, weights, rotation, has_rotations, Rs, first, stride):
+    """Return the mean over a cell of tr(R^T F - I); its sites are `first` and those `stride` further on."""
+    volume = total = 0.0
+    for l in range(len(weights)):
+        F = _gradient(x, cell, G[l])
+        R = _find_rotation(F, rotation, has_rotations, Rs, first + l * stride)
+        volume, total = volume + weights[l], total + weights[l] * _measure_dilatation(F, R)
+    return total / volume
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _measure_dilatation(F, R):
+    """Return tr(R^T F - I)."""
+    return R[0] * (F[0] + F[3]) + R[1] * (F[2] - F[1]) - 2.0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _compute_stress(F, R, mu, lam, is_mean, theta):
+    """Return the four entries of P and W, with the mean dilatation theta if is_mean."""
+    if not is_mean:
+        return compute_stress(F, R, mu, lam)
+    p00, p01, p10, p11, W = compute_stress(F, R, mu, 0.0)
+    p, (cosine, sine) = lam * theta, R
+    return p00 + p * cosine, p01 - p * sine, p10 + p * sine, p11 + p * cosine, W + 0.5 * p * theta
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def energy(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs):
+    """Return sum w W(F), with the rotations Rs (s, 2, 2) if has_rotations, else those of x."""
+    total, theta, (e, q) = 0.0, 0.0, weights.shape
     for n in range(e):
+        first, stride = (n, 0) if len(Rs) == e else (n * q, 1)
+        if is_mean:
+            theta = _average_dilatation(x, cells[n], G[n], weights[n], rotation, has_rotations, Rs, first, stride)
         for l in range(q):
             F = _gradient(x, cells[n], G[n, l])
-            total += weights[n, l] * compute_stress(F, find_rotation(rotation, F), mu, lam)[4]
+            R = _find_rotation(F, rotation, has_rotations, Rs, first + l * stride)
+            total += weights[n, l] * _compute_stress(F, R, mu, lam, is_mean, theta)[4]
     return total
 
 
@@ -58,14 +96,18 @@ def _scatter_force(cell, G, weight, P, f):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def force(x, cells, G, weights, mu, lam, rotation, f):
-    """Write f_a = -sum w P grad N_a into f (n, 2)."""
+def force(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs, f):
+    """Write f_a = -sum w P grad N_a into f (n, 2), with the rotations Rs (s, 2, 2) if has_rotations."""
     f[:] = 0.0
-    e, q = weights.shape
+    theta, (e, q) = 0.0, weights.shape
     for n in range(e):
+        first, stride = (n, 0) if len(Rs) == e else (n * q, 1)
+        if is_mean:
+            theta = _average_dilatation(x, cells[n], G[n], weights[n], rotation, has_rotations, Rs, first, stride)
         for l in range(q):
             F = _gradient(x, cells[n], G[n, l])
-            P = compute_stress(F, find_rotation(rotation, F), mu, lam)
+            R = _find_rotation(F, rotation, has_rotations, Rs, first + l * stride)
+            P = _compute_stress(F, R, mu, lam, is_mean, theta)
             _scatter_force(cells[n], G[n, l], weights[n, l], P, f)
 
 
@@ -80,23 +122,41 @@ def _rotate_gradients(G, cosine, sine, g):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def linearize(x, cells, G, weights, mu, lam, rotation, pairs, scale, has_rotations, Rs, f, A):
+def linearize(x, cells, G, weights, mu, lam, is_mean, rotation, pairs, scale, has_rotations, Rs, f, A):
     """Write the forces into f (n, 2) and add scale times the frozen stiffness to A (blocks, 2, 2).
 
-    A point adds w mu ((G_a . G_b) I + g_b g_a^T) + w lam g_a g_b^T, g = R G, to the block (a, b <= a). The rotations
-    are Rs (s, 2, 2) if has_rotations, else those of x.
+    A point adds w mu ((G_a . G_b) I + g_b g_a^T) + w lam g_a g_b^T, g = R G, to the block (a, b <= a). The last term
+    becomes lam/V (sum w g_a) (sum w g_b)^T if is_mean. The rotations are Rs (s, 2, 2) if has_rotations, else those
+    of x.
     """
     f[:] = 0.0
-    g, (e, q) = np.empty((NODES, 2)), weights.shape
+    g, total, theta, (e, q) = np.empty((NODES, 2)), np.empty((NODES, 2)), 0.0, weights.shape
     for n in range(e):
+        first, stride, volume = n, 0, 0.0
+        if len(Rs) != e:
+            first, stride = n * q, 1
+        if is_mean:
+            theta = _average_dilatation(x, cells[n], G[n], weights[n], rotation, has_rotations, Rs, first, stride)
+            total[:] = 0.0
         for l in range(q):
-            F = _gradient(x, cells[n], G[n, l])
-            R = find_rotation(rotation, F)
-            if has_rotations:
-                R = load_rotation(Rs, n if len(Rs) == e else n * q + l)
-            _scatter_force(cells[n], G[n, l], weights[n, l], compute_stress(F, R, mu, lam), f)
+            w, F = weights[n, l], _gradient(x, cells[n], G[n, l])
+            R = _find_rotation(F, rotation, has_rotations, Rs, first + l * stride)
+            _scatter_force(cells[n], G[n, l], w, _compute_stress(F, R, mu, lam, is_mean, theta), f)
             _rotate_gradients(G[n, l], R[0], R[1], g)
-            _add_stiffness(g, scale * weights[n, l] * mu, scale * weights[n, l] * lam, pairs[n], A)
+            _add_stiffness(g, scale * w * mu, 0.0 if is_mean else scale * w * lam, pairs[n], A)
+            if is_mean:
+                _add_scaled(w, g, total)
+                volume += w
+        if is_mean:
+            _add_square(scale * lam / volume, total, pairs[n], A)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _add_scaled(w, g, total):
+    """Add w g to total (6, 2)."""
+    for a in range(NODES):
+        for i in range(2):
+            total[a, i] += w * g[a, i]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -115,24 +175,35 @@ def _add_stiffness(g, wm, wl, blocks, A):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def add_rotation_stiffness(x, cells, G, weights, mu, lam, pairs, scale, crease, projected, A):
+def add_rotation_stiffness(x, cells, G, weights, mu, lam, is_mean, pairs, scale, crease, projected, A):
     """Add scale times the difference between the exact and the frozen tangent to A, as in triangle.py."""
-    w, (e, q) = np.empty((NODES, 2)), weights.shape
+    w, none, theta, (e, q) = np.empty((NODES, 2)), np.empty((0, 2, 2)), 0.0, weights.shape
     for n in range(e):
+        if is_mean:
+            theta = _average_dilatation(x, cells[n], G[n], weights[n], POLAR, False, none, 0, 0)
         for l in range(q):
             F = _gradient(x, cells[n], G[n, l])
-            cosine, sine = find_polar(F)
-            factor = scale * weights[n, l] * find_rotation_factor(F, cosine, sine, mu, lam, crease)
+            R = find_polar(F)
+            own = _measure_dilatation(F, R)
+            c = lam * (theta if is_mean else own) - 2.0 * mu
+            factor = scale * weights[n, l] * find_rotation_factor(own + 2.0, mu, c, crease)
             if projected and factor <= 0.0:
                 continue
-            _rotate_gradients(G[n, l], -sine, cosine, w)
-            k = 0
-            for a in range(NODES):
-                for b in range(a + 1):
-                    for i in range(2):
-                        for j in range(2):
-                            A[pairs[n, k], i, j] += factor * w[a, i] * w[b, j]
-                    k += 1
+            _rotate_gradients(G[n, l], -R[1], R[0], w)
+            _add_square(factor, w, pairs[n], A)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _add_square(factor, w, blocks, A):
+    """Add factor w_a w_b^T to the 21 blocks (a, b <= a) of a cell."""
+    k = 0
+    for a in range(NODES):
+        for b in range(a + 1):
+            block = A[blocks[k]]
+            k += 1
+            for i in range(2):
+                for j in range(2):
+                    block[i, j] += factor * w[a, i] * w[b, j]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
