@@ -26,6 +26,7 @@ from pipeline.system.times import TIME_RTOL, are_same_times
 
 _BLOCK_BYTES = 1 << 22  # of one field: 4 MB, 2700 frames of 192 cells, or one of half a million
 _CHUNK_VALUES = 2048  # of one variant and several frames: 16 kB, as in statistics.nc
+_ROUNDING = 1e-12  # of a volume
 _OTHER_SIZE = 10.0  # bodies that differ more are hardly meant to be compared as they are
 _DIFFERENCES = ("volume_ratio", "rotation_angle")
 
@@ -138,17 +139,22 @@ def plan_comparison(series: Sequence[Series], *, difference: bool) -> Comparison
     return ComparisonPlan(chosen, times, same_cells, difference, bool(notes), (*match_notes, *notes), samplings)
 
 
-def join_variants(statistics: Mapping[str, Path], path: Path, *, title: str) -> tuple[str, ...]:
+def join_variants(
+    statistics: Mapping[str, Path], path: Path, *, title: str, cells: Mapping[str, object] | None = None
+) -> tuple[str, ...]:
     """Write comparison.nc of the variants of one case; return a note for each that must be left out.
 
-    The times are those of the variant with the most frames; a variant that stopped early is NaN after its last frame. A
+    Variants have the same cells if their rest volumes agree and so do their `cells`, any description of them: cells of
+    orders 1 and 2 may be the same, and those of two splits of a box are not, although they have the same volumes. The
+    times are those of the variant with the most frames; a variant that stopped early is NaN after its last frame. A
     number that some variants lack is NaN for them. Raises SeriesError, OutputError.
     """
     with _open_statistics(statistics) as files, _write_to(path) as hidden:
         longest = max(files, key=lambda name: len(files[name].times))
         reference, joined, notes = files[longest], {}, []
         for name, file in files.items():
-            if not np.array_equal(file.rest_volume, reference.rest_volume):
+            same = cells is None or cells[name] == cells[longest]
+            if not (same and _are_same_volumes(file.rest_volume, reference.rest_volume)):
                 notes.append(f"{name} is left out of the comparison: its mesh is not that of {longest}")
             elif not are_same_times(file.times, reference.times[: len(file.times)]):
                 notes.append(f"{name} is left out of the comparison: its frame times are not those of {longest}")
@@ -158,6 +164,11 @@ def join_variants(statistics: Mapping[str, Path], path: Path, *, title: str) -> 
         with _create(hidden, joined, reference.times, names, title=title, meaning="variant of the case") as out:
             _write_numbers(out, joined, reference.times, names)
     return tuple(notes)
+
+
+def _are_same_volumes(a: Floats, b: Floats) -> bool:
+    """Return whether rest volumes are the same, apart from the rounding of the two orders' formulas."""
+    return a.shape == b.shape and bool((np.abs(a - b) <= _ROUNDING * b).all())
 
 
 def join_series(
@@ -219,7 +230,7 @@ def _create(
     if any("cell" in VARIABLES[name].dims for name in names):
         sizes["cell"] = len(first.rest_volume)
         rest = np.stack([first.rest_volume if file.sampling else file.rest_volume for file in files.values()])
-        shared = bool((rest == rest[0]).all())
+        shared = all(_are_same_volumes(row, rest[0]) for row in rest)
         variables["rest_volume"] = NetcdfVariable(
             ("cell",) if shared else ("variant", "cell"), first.read_attributes("rest_volume"),
             rest[0] if shared else rest,

@@ -201,10 +201,13 @@ class Body:
 
     def energy(self, x: Floats) -> float:
         """Return the elastic energy [J] at positions x (n, d)."""
+        return float(self.mesh.integration.weights.ravel() @ self.energy_density(x))
+
+    def energy_density(self, x: Floats) -> Floats:
+        """Return the elastic energy per rest volume at all points (p,) [J/m3] at positions x (n, d)."""
         F = deformation_gradient(self.mesh, x)
         R = self._spread(self.rotations(x))
-        density = self.law.energy_density(F, R, self._find_dilatation(F, R))
-        return float(self.mesh.integration.weights.ravel() @ density)
+        return self.law.energy_density(F, R, self._find_dilatation(F, R))
 
     def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
         """Return the elastic forces ON the nodes f_el (n, d) [N], with the rotations R (s, d, d) if given."""

@@ -33,7 +33,8 @@ _FACES = {
     "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     "pyramid": ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
 }
-_SIDES, _MOST_SIDES, _MANY = 3, 4, 20_000  # parts of a curved edge; of order 3 and 4; above so many faces they are two
+# parts of a curved edge of order 1 to 3, and of order 4, in bodies of at most so many curved faces; else the coarsest
+_PARTS, _COARSEST = ((200, (6, 8)), (20_000, (3, 4))), (2, 2)
 _PRISMS = {PENTAGONAL_PRISM: 5, HEXAGONAL_PRISM: 6}
 _NOTHING = 1e-9  # a weight this small is rounding of zero
 
@@ -67,7 +68,7 @@ class Skin:
 class FaceGroup(NamedTuple):
     """Faces of m cells that are divided alike: keys of their corners, cells, nodes (m, k), weights (p, k) of p points.
 
-    `triangles` (t, 3) and `outline` (l, 2) are numbers of these points.
+    `triangles` (t, 3) and `outline` (l, 2) are numbers of these points. Those of order 2 and more are curved.
     """
 
     keys: Hashes
@@ -76,6 +77,7 @@ class FaceGroup(NamedTuple):
     weights: Floats
     triangles: Ints
     outline: Ints
+    is_curved: bool = False
 
 
 def find_skin(mesh: BodyMesh, joined: Ints | None = None) -> Skin:
@@ -93,13 +95,18 @@ def find_skin(mesh: BodyMesh, joined: Ints | None = None) -> Skin:
         triangles = local.reshape(faces.shape).astype(np.int64, copy=False)
         return Skin(triangles, owners, _list_sides(triangles), nodes)
     cells = mesh.cell_array if joined is None else _renumber_nodes(mesh.cell_array, joined)
-    for finely in (True, False):
-        groups = [group for group in _iterate_groups(cells, finely=finely) if len(group.owners)]
-        groups = _keep_boundary(groups) if mesh.dimension == 3 else groups
-        curved = sum(len(group.owners) for group in groups if len(group.triangles) > 8)
-        if curved <= _MANY:
-            break
+    groups = _list_groups(cells, mesh.dimension, _COARSEST)
+    curved = sum(len(group.owners) for group in groups if group.is_curved)
+    parts = next((parts for most, parts in _PARTS if curved <= most), _COARSEST)
+    if curved and parts != _COARSEST:
+        groups = _list_groups(cells, mesh.dimension, parts)
     return _join_groups(groups, len(mesh.points))
+
+
+def _list_groups(cells: CellArray, dimension: int, parts: tuple[int, int]) -> list[FaceGroup]:
+    """Return the faces that are drawn: all of planar cells, those on the boundary of solids."""
+    groups = [group for group in _iterate_groups(cells, parts) if len(group.owners)]
+    return _keep_boundary(groups) if dimension == 3 else groups
 
 
 def _renumber_nodes(cells: CellArray, numbers: Ints) -> CellArray:
@@ -114,27 +121,29 @@ def _list_sides(triangles: Ints) -> Ints:
     return np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
 
 
-def _iterate_groups(cells: CellArray, *, finely: bool) -> Iterator[FaceGroup]:
+def _iterate_groups(cells: CellArray, parts: tuple[int, int] = _COARSEST) -> Iterator[FaceGroup]:
     """Yield the faces of all cells."""
     for block in split_blocks(cells):
         for corners in _FACES[block.kind.shape]:
-            yield _divide_face(block, corners, finely=finely)
+            yield _divide_face(block, corners, parts)
     faceted = select_faceted(cells)
     for owners, rings in _iterate_rings(cells, faceted):
         yield _divide_rings(owners, rings)
 
 
-def _divide_face(block: KindBlock, corners: tuple[int, ...], *, finely: bool) -> FaceGroup:
+def _divide_face(block: KindBlock, corners: tuple[int, ...], parts: tuple[int, int]) -> FaceGroup:
     """Return the faces at these corners of a block's cells."""
     kind = block.kind
     order = kind.order
-    sides = 1 if order == 1 else min(max(_SIDES, order), _MOST_SIDES) if finely else 2
+    sides = 1 if order == 1 else parts[order > 3]
     places, triangles, outline = _divide_triangle(sides) if len(corners) == 3 else _divide_square(sides)
     weights = kind.evaluate(_find_reference_points(kind, corners, places))
     weights[np.abs(weights) < _NOTHING] = 0
     chosen = np.flatnonzero((weights != 0).any(axis=0))
     keys = _hash_corners(block.connectivity[:, kind.corners[list(corners)]])
-    return FaceGroup(keys, block.cells, block.connectivity[:, chosen], weights[:, chosen], triangles, outline)
+    return FaceGroup(
+        keys, block.cells, block.connectivity[:, chosen], weights[:, chosen], triangles, outline, order > 1
+    )
 
 
 def _find_reference_points(kind: CellKind, corners: tuple[int, ...], places: Floats) -> Floats:

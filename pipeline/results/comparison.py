@@ -46,7 +46,8 @@ def compare_variants(
     for outdated in (*MOVIE_FILES, _EFFORT):
         (folder / outdated).unlink(missing_ok=True)
     statistics = {name: folder / name / "statistics.nc" for name in runs}
-    notes = list(join_variants(statistics, folder / _DATASET, title=make_title(case)))
+    cells = {name: _describe_cells(run["case"]["mesh"]) for name, run in runs.items()}
+    notes = list(join_variants(statistics, folder / _DATASET, title=make_title(case), cells=cells))
     formats = {name: str(run["case"]["output"]["format"]) for name, run in runs.items()}
     with open_dataset(folder / _DATASET) as dataset:
         figures = _draw_figures(dataset, statistics, folder, title=make_title(case))
@@ -59,6 +60,11 @@ def compare_variants(
         except OutputError as error:
             notes.append(str(error))
     return files, notes
+
+
+def _describe_cells(mesh: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a mesh that its cells depend on."""
+    return {key: value for key, value in mesh.items() if key != "order"}
 
 
 def make_title(case: Case) -> str:

@@ -15,7 +15,7 @@ from pipeline.formats.vtu_write import encode_static_parts, encode_vtu
 from pipeline.mesh.simplex import measure_quality
 from pipeline.problem.methods import STEP_LIMITS, find_traits
 from pipeline.problem.problem import Problem
-from pipeline.run.frame import Frame
+from pipeline.run.frame import Frame, Values
 from pipeline.run.measures import measure, pad_to_space
 from pipeline.stepping.state import State
 
@@ -34,9 +34,15 @@ class Failure:
     state: State
     volume_ratio: Floats
     rotation_angle: Floats  # [degree]
-    energy_density: Floats  # [J/m3]
-    rotation_per_step: Floats  # [degree] of each cell, at the current velocities
+    energy_density: Floats  # [J/m3], the mean in the cell
+    rotation_per_step: Floats  # [degree], the largest in the cell, at the current velocities
     quality: Floats
+    extremes: Values  # the smallest and largest det F of cells in which it varies
+
+    @property
+    def inverted_count(self) -> int:
+        """Return the number of cells with det F <= 0 somewhere."""
+        return int((self.extremes.get("volume_ratio_min", self.volume_ratio) <= 0).sum())
 
     @property
     def worst(self) -> int:
@@ -47,7 +53,7 @@ class Failure:
         """Return one line: what happened, where, and the likeliest remedies with their numbers."""
         cell, step = self.worst, self.state.step
         place = (
-            f"after step {step} {int((self.volume_ratio <= 0).sum())} of {len(self.volume_ratio)} cells are inverted, "
+            f"after step {step} {self.inverted_count} of {len(self.volume_ratio)} cells are inverted, "
             f"the worst, cell {cell}, has volume ratio {self.volume_ratio[cell]:.3g} and quality "
             f"{self.quality[cell]:.2g} at rest; cells turn by up to {self.rotation_per_step.max():.3g} degrees per step"
         )
@@ -83,7 +89,7 @@ class Failure:
             "file": FILE,
             "step": self.state.step,
             "time": self.state.step * self.problem.dt,
-            "inverted_count": int((self.volume_ratio <= 0).sum()),
+            "inverted_count": self.inverted_count,
             "worst": {"cell": worst, "volume_ratio": float(self.volume_ratio[worst])},
             "rotation_per_step": float(self.rotation_per_step.max()),
             "worst_quality": {"cell": int(self.quality.argmin()), "quality": float(self.quality.min())},
@@ -98,10 +104,8 @@ class Failure:
             "velocity": pad_to_space(state.v),
             "speed": np.linalg.norm(state.v, axis=1),
         }
-        cell_data = {
-            name: getattr(self, name)
-            for name in ("volume_ratio", "rotation_angle", "energy_density", "rotation_per_step", "quality")
-        }
+        names = ("volume_ratio", "rotation_angle", "energy_density", "rotation_per_step", "quality")
+        cell_data = {**{name: getattr(self, name) for name in names}, **self.extremes}
         field_data = {
             "TimeValue": np.array([[state.step * self.problem.dt]]),
             "step": np.array([[state.step]]),
@@ -114,16 +118,20 @@ class Failure:
 def examine_failure(problem: Problem, state: State) -> Failure:
     """Return the last state before a step that failed, with its fields per cell."""
     body, mesh = problem.body, problem.body.mesh
+    weights = mesh.integration.weights
     with np.errstate(all="ignore"):  # the values may be huge
         F = deformation_gradient(mesh, state.x)
         F_next = deformation_gradient(mesh, state.x + problem.dt * state.v)
+        turned = np.degrees(angle(np.swapaxes(polar(F), 1, 2) @ polar(F_next)))
         measured = measure(Frame(0, 0.0, mesh, state.x))
+        density = body.energy_density(state.x).reshape(weights.shape)
         return Failure(
             problem,
             state,
             volume_ratio=measured["volume_ratio"],
             rotation_angle=measured["rotation_angle"],
-            energy_density=body.law.energy_density(F, body.law.rotations(F)),
-            rotation_per_step=np.degrees(angle(np.swapaxes(polar(F), 1, 2) @ polar(F_next))),
+            energy_density=(weights * density).sum(axis=1) / mesh.rest_volumes,
+            rotation_per_step=turned.reshape(weights.shape).max(axis=1),
             quality=measure_quality(mesh),
+            extremes={name: measured[name] for name in ("volume_ratio_min", "volume_ratio_max") if name in measured},
         )

@@ -100,6 +100,7 @@ def show_body(view: Any, reader: Any, name: str, place: list[float], table: Any)
     display = simple.Show(moved, view)
     display.Representation = "Surface With Edges"
     display.EdgeColor = [0.3, 0.32, 0.38]
+    display.NonlinearSubdivisionLevel = 2  # sides of curved cells become 4 lines; ParaView itself draws 2
     simple.ColorBy(display, ("CELLS", "volume_ratio"))
     display.LookupTable = table
     return display

@@ -63,7 +63,7 @@ def test_a_cell_of_every_kind_is_closed_and_outward(number, count, name):
     # the outline follows the edges of the reference cell
     corners = {"triangle": 3, "quad": 4, "tetrahedron": 6, "hexahedron": 12, "wedge": 9, "pyramid": 8}[kind.shape]
     assert len(skin.lines) % corners == 0 and len(skin.lines) // corners == (
-        1 if kind.order == 1 else max(3, kind.order)
+        1 if kind.order == 1 else 8 if kind.order == 4 else 6
     )
 
 
@@ -77,9 +77,9 @@ def test_a_curved_face_is_followed():
     skin = find_skin(mesh)
     bulge = mesh.rest_volumes[0] - 1 / 6  # beyond the flat face between the corners
     assert bulge > 0.27
-    # chords of a third of the edge miss a ninth of it
+    # chords of a sixth of the edge miss a 36th of it
     missed = mesh.rest_volumes[0] - find_volume(skin.place(points), skin.triangles)
-    assert missed == pytest.approx(bulge / 9, rel=0.2)
+    assert missed == pytest.approx(bulge / 36, rel=0.2)
 
 
 def test_quads_beside_triangles_stay_and_faces_alike_vanish():
@@ -98,7 +98,7 @@ def test_quads_beside_triangles_stay_and_faces_alike_vanish():
     cells = make_cells((12, hexes[:1]), (42, hexes[1:]), faces=faces)
     from pipeline.mesh.skin import _iterate_groups, _join_groups, _keep_boundary
 
-    skin = _join_groups(_keep_boundary(list(_iterate_groups(cells, finely=True))), len(points))
+    skin = _join_groups(_keep_boundary(list(_iterate_groups(cells))), len(points))
     assert len(skin.triangles) == 20 and find_area(skin.place(points), skin.triangles) == pytest.approx(10)
     # the right box as tetrahedra: the two triangles and the quadrilateral on the plane x = 1 are different faces
     cube = np.array(hexes[1])
@@ -114,7 +114,7 @@ def test_a_polygon_is_divided_around_its_middle():
     from pipeline.mesh.skin import _iterate_groups, _join_groups
 
     cells = make_cells((7, [np.arange(6)]))
-    skin = _join_groups(list(_iterate_groups(cells, finely=True)), 6)
+    skin = _join_groups(list(_iterate_groups(cells)), 6)
     place = skin.place(points)
     assert len(place) == 7 and len(skin.triangles) == 6 and len(skin.lines) == 6
     assert find_area(place, skin.triangles) == pytest.approx(1.5 * np.sqrt(3))
@@ -133,9 +133,11 @@ def test_points_without_data_stay_without():
 def test_many_curved_faces_are_divided_less(monkeypatch):
     points = make_kind("hexahedron 2").nodes
     mesh = CellMesh(points, make_cells((29, [np.arange(27)])), 3)
-    assert len(find_skin(mesh).triangles) == 6 * 18
-    monkeypatch.setattr("pipeline.mesh.skin._MANY", 5)
-    assert len(find_skin(mesh).triangles) == 6 * 8
+    assert len(find_skin(mesh).triangles) == 6 * 2 * 6**2
+    for most, parts in (((5, 20_000), 3), ((4, 5), 2)):
+        limits = tuple(zip(most, ((6, 8), (3, 4)), strict=True))
+        monkeypatch.setattr("pipeline.mesh.skin._PARTS", limits)
+        assert len(find_skin(mesh).triangles) == 6 * 2 * parts**2
 
 
 @pytest.mark.parametrize(

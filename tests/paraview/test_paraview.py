@@ -17,6 +17,7 @@ from tests.bodies import PLANAR, skip_figures, write_case
 HERE = Path(__file__).resolve().parent
 SCREEN = ["xvfb-run", "-a", "-s", "-noreset -screen 0 1280x800x24"]
 DTYPES = {"float64": "double", "float32": "float"}
+QUADRATIC = {"mesh": {"shape": "box", "size": [1.0, 3.0, 1.0], "cells": [1, 3, 1], "order": 2}}
 
 
 def run_paraview(*command, code=0):
@@ -27,12 +28,12 @@ def run_paraview(*command, code=0):
     return (done.stdout.strip() or done.stderr.strip()).rpartition("\n")[2]
 
 
-@pytest.fixture(scope="module", params=["float64", "float32", "planar", "vtkhdf"])
+@pytest.fixture(scope="module", params=["float64", "float32", "planar", "quadratic", "vtkhdf"])
 def run(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     output = {"format": "vtkhdf"} if request.param == "vtkhdf" else {}
     output |= {"precision": request.param} if request.param in DTYPES else {}
-    sections = PLANAR if request.param == "planar" else {}
+    sections = {"planar": PLANAR, "quadratic": QUADRATIC}.get(request.param, {})
     path = write_case(folder, output=output, **sections)
     with pytest.MonkeyPatch.context() as patch:
         skip_figures(patch)

@@ -235,5 +235,4 @@ def test_rotations_of_elements_tend_to_those_of_points_on_finer_meshes(d):
                 state, _ = prepared.step(state)
             end.append(state.x[mesh.points[:, 1] == 0.0].mean(axis=0))
         away.append(np.linalg.norm(end[0] - end[1]))
-    print(d, away)
     assert away[0] > 2 * away[1] > 1e-6
