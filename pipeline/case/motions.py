@@ -7,7 +7,7 @@ from pydantic import model_validator
 from pipeline.case.python_values import PythonValue
 from pipeline.case.selectors import SelectorSpec
 from pipeline.case.spec import Spec, about
-from pipeline.case.values import Direction, FiniteNumber, Vector, make_fault
+from pipeline.case.values import AxisNames, Direction, FiniteNumber, Vector, make_fault
 
 
 class SpinSpec(Spec):
@@ -38,9 +38,10 @@ class MotionSpec(Spec):
 
 
 class SupportSpec(SelectorSpec):
-    """Nodes that are held, or moved."""
+    """Nodes that are held, or moved, along all axes or only some."""
 
     motion: Annotated[MotionSpec | None, about("how the nodes move; without it they stay at rest")] = None
+    components: Annotated[AxisNames | None, about("axes along which the nodes are held; all if not given")] = None
 
 
 class InitialSpec(Spec):

@@ -183,6 +183,13 @@ def _check_direction(values: tuple[float, ...]) -> tuple[float, ...]:
     return values
 
 
+def _check_different(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    for i, value in enumerate(values):
+        if value in values[:i]:
+            raise make_fault(f"{quote_value(value)} is listed twice", str(i))
+    return values
+
+
 def _check_even(value: Any) -> int:
     if _check_count(value) % 2:
         raise make_fault(f"{value} is not even; video encoders need it")
@@ -219,6 +226,7 @@ FrameRate = Annotated[int, PlainValidator(_check_frame_rate), _as_json("integer"
 Text = Annotated[str, PlainValidator(_check_text), _as_json("string", minLength=1)]
 FolderName = Annotated[str, PlainValidator(check_folder_name), _as_json("string", pattern=f"^{FOLDER_NAME.pattern}$")]
 AxisName = Annotated[str, OneOf("x", "y", "z")]
+AxisNames = Annotated[tuple[AxisName, ...], Length(1), AfterValidator(_check_different)]
 Vector = Annotated[tuple[FiniteNumber, ...], Length(2, 3)]
 Direction = Annotated[tuple[FiniteNumber, ...], Length(3, 3), AfterValidator(_check_direction)]
 Lengths = Annotated[tuple[Positive, ...], Length(2, 3)]

@@ -30,6 +30,7 @@ from pipeline.fem.element import (
     stiffness_blocks,
 )
 from pipeline.fem.frame_error import FrameError, measure_frame_error, spurious_volume
+from pipeline.fem.guides import GuideCut
 from pipeline.fem.laws import Law, Tangent
 from pipeline.fem.mass import MassModel
 from pipeline.fem.material import Material
@@ -105,6 +106,21 @@ class Body:
         return self.pattern.leading(len(self.free))
 
     @cached_property
+    def free_components(self) -> Ints:
+        """Return the components, d node + axis, that nothing holds; ascending."""
+        d = self.mesh.dimension
+        is_free = np.repeat(self.free_mask, d)
+        if self.supports.guides is not None:
+            is_free[self.supports.guides.components] = False
+        return np.flatnonzero(is_free)
+
+    @cached_property
+    def guide_cut(self) -> GuideCut | None:
+        """Return the entries of matrices that guides cut out, None without guides."""
+        guides = self.supports.guides
+        return None if guides is None else GuideCut(self.free_pattern, self.free, guides.components)
+
+    @cached_property
     def mass(self) -> Floats:
         """Return the values of the mass matrix M (blocks, d, d) [kg]."""
         return self._nodal_mass[:, None, None] * np.eye(self.mesh.dimension)
@@ -151,6 +167,11 @@ class Body:
     def held_positions(self, time: float) -> Floats:
         """Return the positions of the held nodes (k, d) at a time [s]; the caller must not change them."""
         return self.supports.positions(self.mesh.points, time) if self.supports.motions else self._held_at_rest
+
+    def guided_positions(self, time: float) -> Floats | None:
+        """Return the coordinates of the guides' components (c,) at a time [s], None without guides."""
+        guides = self.supports.guides
+        return None if guides is None else guides.positions(self.mesh.points, time)
 
     def load_at(self, time: float) -> Floats:
         """Return all dead loads f_ext (n, d) [N] at a time [s]; the caller must not change them."""

@@ -1,4 +1,4 @@
-"""Natural frequencies of a body at rest: K u = omega^2 M u on its free nodes."""
+"""Natural frequencies of a body at rest: K u = omega^2 M u on its free components."""
 
 import numpy as np
 from scipy.linalg import eigh
@@ -37,14 +37,18 @@ def find_lowest_frequencies(body: Body, count: int = 1) -> tuple[Floats, Floats]
             raise SolveError(f"the lowest frequencies were not found ({error})") from error
     elastic = np.flatnonzero(values > _RIGID * scale)[:count]
     modes = np.zeros((len(elastic), *body.mesh.points.shape))
-    modes[:, body.free] = vectors.T[elastic].reshape(len(elastic), -1, d)
+    modes.reshape(len(elastic), -1)[:, body.free_components] = vectors.T[elastic]
     return np.sqrt(values[elastic]), modes
 
 
 def _assemble_free_matrices(body: Body) -> tuple[csc_array, csc_array]:
     pattern = body.free_pattern
     _, K = body.linearize(body.mesh.points)
-    return csc_array(pattern.matrix(K[: pattern.blocks])), csc_array(pattern.matrix(body.mass[: pattern.blocks]))
+    matrices = csc_array(pattern.matrix(K[: pattern.blocks])), csc_array(pattern.matrix(body.mass[: pattern.blocks]))
+    if body.guide_cut is None:
+        return matrices
+    kept = np.flatnonzero(~body.guide_cut.is_held.ravel())
+    return matrices[0][kept][:, kept], matrices[1][kept][:, kept]
 
 
 def _solve_dense(K: csc_array, M: csc_array) -> tuple[Floats, Floats]:

@@ -1,4 +1,7 @@
-"""Supports: nodes with prescribed positions, fixed or moving."""
+"""Supports: nodes with prescribed positions, fixed or moving.
+
+A node may be held along some axes only, as on rollers or in a plane of symmetry: a guide holds single components.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -62,14 +65,54 @@ class PrescribedMotion:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Supports:
-    """Held nodes (k,), ascending, and the motions of some of them; the others stay at their rest positions."""
+class Guides:
+    """Single held components (c,) of nodes, d node + axis, ascending, and the motions of some of them.
 
-    nodes: Ints
+    The components of a motion move as it would move their nodes; the others stay at their rest positions.
+    """
+
+    components: Ints
     motions: Sequence[tuple[Ints, Motion]] = ()
 
     def __repr__(self) -> str:
-        return f"<Supports: {len(self.nodes)} held nodes, {len(self.motions)} motions>"
+        return f"<Guides: {len(self.components)} held components, {len(self.motions)} motions>"
+
+    def positions(self, points: Floats, time: float) -> Floats:
+        """Return the coordinates of `components` (c,) at a time [s]."""
+        x = points.reshape(-1)[self.components]
+        for components, motion in self.motions:
+            nodes, axes = np.divmod(components, points.shape[1])
+            moved = motion.positions(points[nodes], time)
+            x[np.searchsorted(self.components, components)] = moved[np.arange(len(nodes)), axes]
+        return x
+
+    def set_velocities(self, points: Floats, v: Floats) -> None:
+        """Write the velocities of `components` at the start into v (n, d) [m/s]."""
+        v.reshape(-1)[self.components] = 0.0
+        for components, motion in self.motions:
+            nodes, axes = np.divmod(components, points.shape[1])
+            v[nodes, axes] = motion.velocities(points[nodes])[np.arange(len(nodes)), axes]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Supports:
+    """Held nodes (k,), ascending, and the motions of some of them; the others stay at their rest positions.
+
+    `guides`, if any, hold single components of other nodes.
+    """
+
+    nodes: Ints
+    motions: Sequence[tuple[Ints, Motion]] = ()
+    guides: Guides | None = None
+
+    def __repr__(self) -> str:
+        guides = "" if self.guides is None else f", {self.guides!r}"
+        return f"<Supports: {len(self.nodes)} held nodes, {len(self.motions)} motions{guides}>"
+
+    @property
+    def has_motions(self) -> bool:
+        """Return whether a held node or component moves."""
+        return bool(self.motions) or (self.guides is not None and bool(self.guides.motions))
 
     def positions(self, points: Floats, time: float) -> Floats:
         """Return the positions of `nodes` (k, d) at a time [s]."""

@@ -66,7 +66,7 @@ class Cycle:
             member = csr_array((np.ones(n, dtype=np.float32), group, np.arange(n + 1)))
             coarse_graph = (member.T @ graph @ member).tocsr()
         else:
-            P = _interpolate_sides(ends, corners, d)
+            P = _interpolate_sides(ends, corners, np.asarray(modes.any(axis=2)))
             coarse_modes, coarse_graph = modes[corners], None
         self._P = P.indptr.astype(np.int32), P.indices.astype(np.int32), P.data.astype(np.float32)
         c = P.blocksize[1]
@@ -134,15 +134,20 @@ def _find_corners(ends: Ints) -> Ints:
     return np.flatnonzero((ends == np.arange(len(ends))[:, None]).all(axis=1))
 
 
-def _interpolate_sides(ends: Ints, corners: Ints, d: int) -> bsr_array:
-    """Return the P that gives every node the mean motion of its ends (n, 2), which are corners, or -1 if held."""
-    n, c = len(ends), len(corners)
+def _interpolate_sides(ends: Ints, corners: Ints, moves: np.ndarray) -> bsr_array:
+    """Return the P that gives every node the mean motion of its ends (n, 2), which are corners, or -1 if held.
+
+    `moves` (n, d) marks the components that any mode moves; the others are held.
+    """
+    n, c, d = len(ends), len(corners), moves.shape[1]
     number = np.full(n + 1, -1)  # the last one is that of a held end
     number[corners] = np.arange(c)
     rows, columns = np.repeat(np.arange(n), 2), number[ends].ravel()
     free = columns >= 0
     weights = csr_array((np.full(int(free.sum()), 0.5), (rows[free], columns[free])), shape=(n, c))
     blocks = weights.data[:, None, None] * np.eye(d)
+    from_node = np.repeat(np.arange(n), np.diff(weights.indptr))
+    blocks *= (moves[from_node] & moves[corners[weights.indices]])[:, :, None]
     return bsr_array((blocks, weights.indices, weights.indptr), shape=(n * d, c * d))
 
 

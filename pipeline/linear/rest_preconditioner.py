@@ -143,6 +143,9 @@ def make_multigrid_cg(systems: SystemSettings) -> ConjugateGradients:
     """Return conjugate gradients with the rotated multigrid cycle of the rest state."""
     pattern, points, find_ends = systems.pattern, systems.rest.points, systems.rest.find_ends
     ends = None if find_ends is None else find_ends()
-    cycle = Cycle(pattern.matrix(systems.rest.assemble()), make_rigid_modes(points), ends=ends)
+    modes = make_rigid_modes(points)
+    if systems.rest.is_held is not None:
+        modes[systems.rest.is_held] = 0.0
+    cycle = Cycle(pattern.matrix(systems.rest.assemble()), modes, ends=ends)
     factor = RestFactor("multigrid", np.arange(pattern.nodes), lambda b: cycle(b.reshape(points.shape)).reshape(-1))
     return ConjugateGradients(systems, RotatedFactor(pattern, factor))

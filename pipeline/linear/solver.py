@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+import numpy as np
+
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import BlockPattern
 from pipeline.linear.band import Band
@@ -33,12 +35,14 @@ class RestState:
     """The body at rest: its free nodes (n, d) [m], and a function that assembles the values of A_0 (blocks, d, d).
 
     In a mesh of order 2 `find_ends` returns the ends (n, 2) of the side that each free node is on: a corner twice for
-    the corner itself, and -1 for an end that is held.
+    the corner itself, and -1 for an end that is held. `is_held` (n, d) marks single held components of the free nodes,
+    whose rows and columns of A_0 are zero but for the diagonal; None if there are none.
     """
 
     points: Floats
     assemble: Callable[[], Floats]
     find_ends: Callable[[], Ints] | None = None
+    is_held: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)

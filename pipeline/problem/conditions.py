@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
-from pipeline.case import Case, SpinSpec
+from pipeline.case import Case, SpinSpec, SupportSpec
 from pipeline.case.python_values import PythonValue
 from pipeline.fem.body import Body
 from pipeline.fem.loads import body_force, body_force_field, normal_traction
-from pipeline.fem.supports import Motion, PrescribedMotion, RigidMotion, Supports
+from pipeline.fem.supports import Guides, Motion, PrescribedMotion, RigidMotion, Supports
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.surface import find_boundary_faces
 from pipeline.stepping.state import State
@@ -82,18 +82,58 @@ def _check_nodes(case: Case, key: str, nodes: tuple[int, ...], count: int) -> In
 
 
 def make_supports(case: Case, mesh: ElementMesh) -> Supports:
-    """Return the held nodes and their motions; raises CaseError if a node would have two."""
-    held = [select_nodes(case, f"supports.{i}", s, mesh) for i, s in enumerate(case.supports)]
-    taken = np.full(len(mesh.points), -1)
-    motions = []
-    for i, (spec, nodes) in enumerate(zip(case.supports, held, strict=True)):
-        twice = nodes[taken[nodes] >= 0]
-        if twice.size and (spec.motion or case.supports[taken[twice[0]]].motion):
-            raise case.make_error(f"supports.{i}", f"node {twice[0]} is already held by supports.{taken[twice[0]]}")
-        taken[nodes] = i
-        if spec.motion is not None:
-            motions.append((nodes, _make_motion(case, f"supports.{i}.motion", spec.motion, mesh)))
-    return Supports(np.flatnonzero(taken >= 0), tuple(motions))
+    """Return the held nodes and components and their motions; raises CaseError if one would have two."""
+    n, d = mesh.points.shape
+    taken, is_guided = np.full((n, d), -1), np.zeros(n, dtype=bool)
+    motions: list[tuple[Ints, Motion]] = []
+    guided_motions: list[tuple[Ints, Motion]] = []
+    for i, spec in enumerate(case.supports):
+        nodes, axes = select_nodes(case, f"supports.{i}", spec, mesh), _read_components(case, f"supports.{i}", spec, d)
+        _check_taken(case, i, nodes, axes, taken)
+        taken[nodes[:, None], axes] = i
+        if spec.motion is None:
+            continue
+        motion = _make_motion(case, f"supports.{i}.motion", spec.motion, mesh)
+        if len(axes) == d:
+            motions.append((nodes, motion))
+        else:
+            guided_motions.append(((d * nodes[:, None] + axes).ravel(), motion))
+            is_guided[nodes] = True
+    is_held = taken >= 0
+    is_guided |= ~is_held.all(axis=1)  # a node held along all axes is a guided one only if some of them move
+    guided = np.flatnonzero(is_held & is_guided[:, None])
+    guides = Guides(guided, tuple(guided_motions)) if guided.size else None
+    return Supports(np.flatnonzero(~is_guided), tuple(motions), guides)
+
+
+def _read_components(case: Case, key: str, spec: SupportSpec, d: int) -> Ints:
+    """Return the axes along which a support holds its nodes, ascending; raises CaseError if the mesh lacks one."""
+    if spec.components is None:
+        return np.arange(d)
+    axes = np.sort([AXES[name] for name in spec.components])
+    if axes[-1] >= d:
+        place = spec.components.index("z")
+        raise case.make_error(f"{key}.components.{place}", "'z' is not an axis of a planar mesh")
+    velocity = None if spec.motion is None else spec.motion.velocity
+    lost = [] if velocity is None else [name for name, i in AXES.items() if i not in axes and any(velocity[i : i + 1])]
+    if lost:
+        message = f"moves the nodes along {lost[0]}, which is not one of the components {', '.join(spec.components)}"
+        raise case.make_error(f"{key}.motion.velocity", message)
+    return axes
+
+
+def _check_taken(case: Case, number: int, nodes: Ints, axes: Ints, taken: Ints) -> None:
+    """Raise CaseError if a component of a node would be held twice, and one of the two supports moves."""
+    moves = np.array([spec.motion is not None for spec in case.supports])
+    before = taken[nodes[:, None], axes]
+    twice = np.argwhere((before >= 0) & (moves[number] | moves[before]))
+    if not twice.size:
+        return
+    node, axis = twice[0]
+    other = before[node, axis]
+    partial = any(case.supports[i].components is not None for i in (number, other))
+    along = f" along {'xyz'[axes[axis]]}" if partial else ""
+    raise case.make_error(f"supports.{number}", f"node {nodes[node]} is already held{along} by supports.{other}")
 
 
 def _make_motion(case: Case, key: str, spec: Any, mesh: ElementMesh) -> Motion:
@@ -196,4 +236,6 @@ def make_initial_state(case: Case, body: Body) -> State:
     v = np.where(body.free_mask[:, None], initial.factor * v, 0.0)
     for nodes, motion in body.supports.motions:
         v[nodes] = motion.velocities(mesh.points[nodes])
+    if body.supports.guides is not None:
+        body.supports.guides.set_velocities(mesh.points, v)
     return State(0, mesh.points.copy(), v)

@@ -87,7 +87,7 @@ def build(case: Case, *, mesh: ElementMesh | None = None) -> Problem:
     _check_method(case)
     mesh = build_mesh(case) if mesh is None else mesh
     body = _make_body(case, mesh)
-    if not body.free.size:
+    if not body.free_components.size:
         raise case.make_error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
     _check_step(case, body)
     s = case.schedule

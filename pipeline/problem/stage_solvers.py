@@ -122,6 +122,8 @@ def _describe_systems(body: Body, h: float, method: MethodSpec) -> SystemSetting
     def assemble() -> Floats:
         A = np.empty_like(body.mass)
         body.assemble_system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
+        if body.guide_cut is not None:
+            body.guide_cut.apply(A)
         return A[: body.free_pattern.blocks]
 
     def find_ends() -> Ints:
@@ -129,5 +131,6 @@ def _describe_systems(body: Body, h: float, method: MethodSpec) -> SystemSetting
         number[body.free] = np.arange(len(body.free))
         return number[find_side_ends(body.mesh)[body.free]]
 
-    rest = RestState(body.mesh.points[body.free], assemble, find_ends if body.mesh.order == 2 else None)
+    is_held = None if body.guide_cut is None else body.guide_cut.is_held
+    rest = RestState(body.mesh.points[body.free], assemble, find_ends if body.mesh.order == 2 else None, is_held)
     return SystemSettings(body.free_pattern, method.linear_rtol, rest)

@@ -39,7 +39,8 @@ class BackwardEuler:
         end, x_n = (state.step + 1) * self.dt, state.x
         held, load = self.body.held_positions(end), self.body.load_at(end)
         R, inversion = track_rotations(self.treatment, self.body, x_n, state)
-        stage = Stage(x_n, state.v, self.dt, x_n, x_n, held, load, starts_at_x_n=True, R=R)
+        guided = self.body.guided_positions(end)
+        stage = Stage(x_n, state.v, self.dt, x_n, x_n, held, load, starts_at_x_n=True, R=R, guided=guided)
         x, v, report = self.stage_solver.solve(stage)
         report.work.steps += 1
         return State(state.step + 1, x, v, Memory(NO_ARRAYS, inversion, state.memory.energy)), report

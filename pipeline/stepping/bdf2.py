@@ -58,7 +58,8 @@ class BDF2:
         x_star = _extrapolate(x, x_before, 1.0, self._stage[2])
         held, load = self.body.held_positions(end), self.body.load_at(end)
         R, inversion = track_rotations(self.treatment, self.body, x_star, state)
-        stage = Stage(x_h, v_h, h, x_star, x, held, load, starts_at_x_n=False, R=R)
+        guided = self.body.guided_positions(end)
+        stage = Stage(x_h, v_h, h, x_star, x, held, load, starts_at_x_n=False, R=R, guided=guided)
         x_new, v_new, report = self.stage_solver.solve(stage)
         report.work.steps += 1
         return State(state.step + 1, x_new, v_new, Memory(before, inversion, state.memory.energy)), report

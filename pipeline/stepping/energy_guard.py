@@ -5,6 +5,8 @@ It raises SolveError if, after each of three steps in a row, kinetic + elastic e
 computed only if the kinetic part alone exceeds a tenth of that bound: a body that blows up moves.
 """
 
+from typing import Any
+
 import numpy as np
 
 from pipeline.arrays import Floats
@@ -30,7 +32,7 @@ class EnergyGuard:
     def __init__(self, body: Body, stepper: Stepper) -> None:
         self.body = body
         self.stepper = stepper
-        if body.supports.motions:  # their work needs forces, whose kernel is compiled or loaded here
+        if body.supports.has_motions:  # their work needs forces, whose kernel is compiled or loaded here
             body.warm_up(solves=False)
         self._least = natural_energy(body)
         self._scratch = np.empty((2, *body.mesh.points.shape))
@@ -114,13 +116,21 @@ def work_of_varying_load(body: Body, old: State, new: State, dt: float) -> float
 
 def work_of_supports(body: Body, old: State, new: State, dt: float, *, scratch: Floats | None = None) -> float:
     """Return |reaction . motion| of the held nodes in a step [J]; `scratch` (2, n, d) is overwritten."""
-    if not body.supports.motions:
+    if not body.supports.has_motions:
         return 0.0
-    held = body.supports.nodes
-    moved = new.x[held] - old.x[held]
-    if not moved.any():
+    held, guides = body.supports.nodes, body.supports.guides
+    places: list[Any] = [held]
+    if guides is not None:
+        places.append(np.divmod(guides.components, body.mesh.dimension))
+    moved = [new.x[place] - old.x[place] for place in places]
+    if not any(part.any() for part in moved):
         return 0.0
     gained, p = np.empty((2, *new.v.shape)) if scratch is None else scratch
-    inertia = body.momentum(np.subtract(new.v, old.v, out=gained), p)[held] / dt
-    reaction = inertia - body.force(new.x, out=p)[held] - body.load_at(new.step * dt)[held]
-    return float(np.abs((reaction * moved).sum(axis=1)).sum())
+    body.momentum(np.subtract(new.v, old.v, out=gained), p)
+    inertia = [p[place] / dt for place in places]
+    body.force(new.x, out=p)
+    load, work = body.load_at(new.step * dt), 0.0
+    for place, part, rate in zip(places, moved, inertia, strict=True):
+        power = (rate - p[place] - load[place]) * part
+        work += float(np.abs(power.sum(axis=1) if power.ndim > 1 else power).sum())
+    return work

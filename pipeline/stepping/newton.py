@@ -30,7 +30,7 @@ from pipeline.fem.laws import Tangent
 from pipeline.linear.solver import LinearSolver
 from pipeline.linear.work import Work
 from pipeline.stepping.report import StepReport
-from pipeline.stepping.stage import Stage, StageSystem, advance
+from pipeline.stepping.stage import Stage, StageSystem, advance, hold
 
 _PREDICTOR_ITERATIONS = 30  # a good predictor needs 3 to 6, in fast spin about a generic axis 16 to 30
 _NEAR = 1e-2  # of the forces: from here the exact tangent is tried
@@ -149,8 +149,7 @@ class Converged:
     def _hold(self, x: Floats, stage: Stage, out: Floats) -> Floats:
         """Return x, in `out`, with the held nodes where the stage holds them."""
         np.copyto(out, x)
-        out[self.body.supports.nodes] = stage.held
-        return out
+        return hold(self.body, stage, out)
 
     def _residual(self, stage: Stage) -> float:
         """Write -grad phi at x into r (n, d) [N], zero on held nodes; return its norm over the size of its forces."""
@@ -163,6 +162,8 @@ class Converged:
         r += stage.load
         r -= self._Ma
         r[body.supports.nodes] = 0.0
+        if body.supports.guides is not None:
+            r.reshape(-1)[body.supports.guides.components] = 0.0
         floor = _ROUNDING / self.limits.tolerance * self._stiff * np.sqrt(r.size)
         return _norm(r) / max(size, floor)
 
@@ -184,7 +185,9 @@ class Converged:
         work = self.system.linearize(self._x, stage.h, kind=kind)
         np.multiply(self._r, stage.h**2, out=self.system.b)
         self._dx[:] = 0.0
-        return work + self.system.solve(self._dx[self.body.supports.nodes], self._dx)
+        guides = self.body.supports.guides
+        guided = None if guides is None else np.zeros(len(guides.components))
+        return work + self.system.solve(self._dx[self.body.supports.nodes], self._dx, guided)
 
     def _search(self, terms: _Terms, slope: float, stage: Stage) -> _Terms | None:
         """Move x to x + s dx with the first s of 1, 1/2, … that lowers phi enough; return the terms of phi there.

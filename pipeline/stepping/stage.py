@@ -32,7 +32,8 @@ class Stage(NamedTuple):  # a frozen dataclass takes a microsecond longer to mak
 
     `held` (k, d) are the positions of the held nodes and `load` (n, d) [N] the loads f_ext at the end of the step.
     `now` (n, d) are the positions x_n before it; `starts_at_x_n` says that x_h and x* are x_n too, as in backward
-    Euler. `R` (e, d, d) are the rotations at x*, None if the law chooses them.
+    Euler. `R` (e, d, d) are the rotations at x*, None if the law chooses them. `guided` (c,) are the coordinates of the
+    single held components, None without guides.
     """
 
     x_h: Floats
@@ -44,6 +45,7 @@ class Stage(NamedTuple):  # a frozen dataclass takes a microsecond longer to mak
     load: Floats
     starts_at_x_n: bool
     R: Floats | None = None
+    guided: Floats | None = None
 
 
 class StageSolver(Protocol):
@@ -63,7 +65,14 @@ def advance(body: Body, stage: Stage, v: Floats, out: Floats | None = None) -> F
     """Return x = x_h + h v (n, d), in `out` if given; held nodes are exactly where their supports hold them."""
     x = np.multiply(v, stage.h, out=out)
     x += stage.x_h
+    return hold(body, stage, x)
+
+
+def hold(body: Body, stage: Stage, x: Floats) -> Floats:
+    """Move the held nodes and components in x (n, d) to the places that the stage gives them; return x."""
     x[body.supports.nodes] = stage.held
+    if body.supports.guides is not None:
+        x.reshape(-1)[body.supports.guides.components] = stage.guided
     return x
 
 
@@ -83,6 +92,7 @@ class StageSystem:
         self.A = np.empty((body.pattern.blocks, d, d))
         self.f, self.b = np.empty_like(X), np.empty_like(X)
         self._free = np.empty((2, len(body.free), d))
+        self._cut = np.empty(0)  # the entries of A that guides cut
 
     def linearize(self, x: Floats, h: float, R: Floats | None = None, kind: Tangent = "frozen") -> Work:
         """Assemble A and f_el at positions x (n, d) and give A to the solver."""
@@ -95,7 +105,11 @@ class StageSystem:
 
         def write_rotations(out: Floats) -> None:
             body.nodal_rotations(x, self._nodal_rotations).take(body.free, 0, out, "clip")
+            if body.guide_cut is not None:
+                body.guide_cut.restrict_rotations(out)
 
+        if body.guide_cut is not None:
+            self._cut = body.guide_cut.apply(self.A)
         return self.solver.update(self.A[: body.free_pattern.blocks], write_rotations)
 
     @cached_property
@@ -104,9 +118,14 @@ class StageSystem:
         d = self.body.mesh.dimension
         return np.empty((len(self.body.mesh.points), d, d))
 
-    def solve(self, held: Floats, w: Floats) -> Work:
-        """Solve A w = b on the free nodes, w = held (k, d) on the others; w (n, d) is the guess; b and f change."""
+    def solve(self, held: Floats, w: Floats, guided: Floats | None = None) -> Work:
+        """Solve A w = b on the free nodes, w = held (k, d) on the others; w (n, d) is the guess; b and f change.
+
+        With guides, their components of w are `guided` (c,).
+        """
         body = self.body
+        if guided is not None:
+            return self._solve_guided(held, guided, w)
         if not body.supports.nodes.size:
             return self.solver.solve(self.b, w)
         b, free = self._free
@@ -119,6 +138,28 @@ class StageSystem:
         work = self.solver.solve(b, free)
         w[body.free] = free
         w[body.supports.nodes] = held
+        return work
+
+    def _solve_guided(self, held: Floats, guided: Floats, w: Floats) -> Work:
+        """Do the same with guides: their components have equations of their own, A_cc w_c = A_cc guided_c."""
+        body, cut = self.body, self.body.guide_cut
+        assert cut is not None
+        b, free = self._free
+        w.take(body.free, 0, free, "clip")
+        if held.any() or guided.any():
+            w[body.free] = 0.0
+            w[body.supports.nodes] = held
+            w.reshape(-1)[cut.components] = guided
+            cut.undo(self.A, self._cut)
+            self.b -= body.pattern.multiply(self.A, w, self.f)
+            cut.apply(self.A)
+        self.b.take(body.free, 0, b, "clip")
+        free[cut.is_held] = guided
+        b[cut.is_held] = guided * self.A.reshape(-1)[cut.diagonal]
+        work = self.solver.solve(b, free)
+        w[body.free] = free
+        w[body.supports.nodes] = held
+        w.reshape(-1)[cut.components] = guided
         return work
 
 
@@ -142,7 +183,8 @@ class Prefactored:
         f *= stage.h
         b += f
         v = stage.v_h.copy()
-        work = system.solve(_find_held_velocity(stage, stage.x_h, body, self._held), v)
+        held, guided = _find_held_velocity(stage, stage.x_h, body, self._held)
+        work = system.solve(held, v, guided)
         work.iterations += 1
         if self._setup is not None:
             work, self._setup = work + self._setup, None
@@ -176,7 +218,7 @@ class FrozenPasses:
         """
         body, h, system = self.body, stage.h, self.system
         work = system.linearize(x, h, R)
-        held = _find_held_velocity(stage, x, body, self._held)
+        held, guided = _find_held_velocity(stage, x, body, self._held)
         away = stage.v_h
         if not at_x_h:
             np.subtract(x, stage.x_h, out=self._v_star)
@@ -187,7 +229,7 @@ class FrozenPasses:
         system.f += stage.load
         system.f *= h
         b += system.f
-        work += system.solve(held, v)
+        work += system.solve(held, v, guided)
         work.iterations += 1
         work.rotations += 1
         if not at_x_h:
@@ -195,9 +237,14 @@ class FrozenPasses:
         return work
 
 
-def _find_held_velocity(stage: Stage, x: Floats, body: Body, out: Floats) -> Floats:
-    """Return, in out (k, d), the velocities that take the held nodes from x (n, d) to the end of the stage."""
+def _find_held_velocity(stage: Stage, x: Floats, body: Body, out: Floats) -> tuple[Floats, Floats | None]:
+    """Return the velocities that take held nodes (k, d), in out, and components (c,) from x (n, d) to the stage's end.
+
+    Without guides the second are None.
+    """
     x.take(body.supports.nodes, 0, out, "clip")
     np.subtract(stage.held, out, out=out)
     out /= stage.h
-    return out
+    if stage.guided is None or body.supports.guides is None:
+        return out, None
+    return out, (stage.guided - x.reshape(-1)[body.supports.guides.components]) / stage.h

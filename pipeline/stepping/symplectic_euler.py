@@ -57,6 +57,11 @@ class SymplecticEuler:
         x = np.empty_like(state.x)
         held, load = body.held_positions((state.step + 1) * self.dt), body.load_at(state.step * self.dt)
         self._kick(v, load, self._dt_over_mass, state.x, state.v, self.dt, body.supports.nodes, held, x)
+        guided = body.guided_positions((state.step + 1) * self.dt)
+        if guided is not None and body.supports.guides is not None:
+            places = body.supports.guides.components
+            v.reshape(-1)[places] = (guided - state.x.reshape(-1)[places]) / self.dt
+            x.reshape(-1)[places] = guided
         work = Work(steps=1, rotations=int(not body.law.constant_tangent))
         return State(state.step + 1, x, v, Memory(NO_ARRAYS, inversion, state.memory.energy)), StepReport(work)
 
@@ -74,6 +79,8 @@ def true_limit(body: Body) -> float:
     pattern = body.free_pattern
     matrix = pattern.matrix(K[: pattern.blocks])
     root = np.repeat(np.sqrt(body.lumped_mass[body.free]), pattern.dimension)
+    if body.guide_cut is not None:  # a held component as if its mass were infinite
+        root[body.guide_cut.is_held.ravel()] = np.inf
     operator = LinearOperator(matrix.shape, matvec=lambda u: (matrix @ (u.ravel() / root)) / root, dtype=np.float64)
     if matrix.shape[0] < 3:
         return float(2 / np.sqrt(np.linalg.eigvalsh(operator @ np.eye(matrix.shape[0])).max()))
