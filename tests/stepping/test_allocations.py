@@ -47,15 +47,7 @@ def test_a_step_with_supports_that_move_allocates_its_state(cases_folder, varian
 
 KERNELS = sorted((Path(__file__).parents[2] / "pipeline").glob("*/kernels/*.py"))
 # cells at once, nodes of a cell, sizes of its matrix, the dimension
-CONSTANTS = {"LANES", "MOST_NODES", "NODES", "_ENTRIES", "_WIDTH", "d", "np"}
-    "LANES",
-    "MOST_NODES",
-    "NODES",
-    "_ENTRIES",
-    "_WIDTH",
-    "d",
-    "np",
-}  # cells at once, nodes of a cell, the dimension
+CONSTANTS = {"LANES", "MOST_NODES", "NODES", "WIDTH", "_ENTRIES", "d", "np"}
 
 
 @pytest.mark.parametrize("path", KERNELS, ids=lambda path: path.stem)

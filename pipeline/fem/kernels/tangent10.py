@@ -8,12 +8,12 @@ from numba import njit
 
 from pipeline.fem.kernels.rotation import LANES, allocate_lanes, find_polar_rotations
 from pipeline.fem.kernels.tangent import find_rotation_factors, measure_stretch
-from pipeline.fem.kernels.tetrahedron10 import NODES, average_dilatations, compute_gradients
+from pipeline.fem.kernels.tetrahedron10 import NODES, WIDTH, average_dilatations, compute_gradients
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _cross_gradients(G, R, lane, w):
-    """Write R (q x grad N_b) of a point into w (3, 30): q = e_0, e_1, e_2, entry 3 b + i; nodes sum to zero."""
+    """Write R (q x grad N_b) of a point into w (3, WIDTH): q = e_0, e_1, e_2, entry 3 b + i; nodes sum to zero."""
     for i in range(3):
         r0, r1, r2 = R[3 * i, lane], R[3 * i + 1, lane], R[3 * i + 2, lane]
         w[0, i] = w[1, i] = w[2, i] = 0.0
@@ -27,18 +27,26 @@ def _cross_gradients(G, R, lane, w):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _add_squares(factor, H, w, T):
-    """Add factor w^T H w to the blocks of T (30, 30) on and below the diagonal."""
-    for r in range(3 * NODES):
-        h0 = factor * (w[0, r] * H[0, 0] + w[1, r] * H[1, 0] + w[2, r] * H[2, 0])
-        h1 = factor * (w[0, r] * H[0, 1] + w[1, r] * H[1, 1] + w[2, r] * H[2, 1])
-        h2 = factor * (w[0, r] * H[0, 2] + w[1, r] * H[1, 2] + w[2, r] * H[2, 2])
-        for c in range(3 * (r // 3) + 3):
-            T[r, c] += h0 * w[0, c] + h1 * w[1, c] + h2 * w[2, c]
+    """Add factor w^T H w to the blocks of T (30, WIDTH) on and below the diagonal, three rows at once."""
+    w0, w1, w2 = w[0], w[1], w[2]
+    h00, h01, h02 = factor * H[0, 0], factor * H[0, 1], factor * H[0, 2]
+    h11, h12, h22 = factor * H[1, 1], factor * H[1, 2], factor * H[2, 2]
+    for r in range(0, 3 * NODES, 3):
+        u0, u1, u2 = w0[r], w1[r], w2[r]
+        a0, a1, a2 = u0 * h00 + u1 * h01 + u2 * h02, u0 * h01 + u1 * h11 + u2 * h12, u0 * h02 + u1 * h12 + u2 * h22
+        u0, u1, u2 = w0[r + 1], w1[r + 1], w2[r + 1]
+        b0, b1, b2 = u0 * h00 + u1 * h01 + u2 * h02, u0 * h01 + u1 * h11 + u2 * h12, u0 * h02 + u1 * h12 + u2 * h22
+        u0, u1, u2 = w0[r + 2], w1[r + 2], w2[r + 2]
+        c0, c1, c2 = u0 * h00 + u1 * h01 + u2 * h02, u0 * h01 + u1 * h11 + u2 * h12, u0 * h02 + u1 * h12 + u2 * h22
+        for c in range((r + 10) // 8 * 8):
+            T[r, c] += a0 * w0[c] + a1 * w1[c] + a2 * w2[c]
+            T[r + 1, c] += b0 * w0[c] + b1 * w1[c] + b2 * w2[c]
+            T[r + 2, c] += c0 * w0[c] + c1 * w1[c] + c2 * w2[c]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _scatter(T, blocks, A):
-    """Add T (30, 30) to the 55 blocks (a, b <= a) of a cell."""
+    """Add T (30, WIDTH) to the 55 blocks (a, b <= a) of a cell."""
     k = 0
     for a in range(NODES):
         for b in range(a + 1):
@@ -55,7 +63,7 @@ def add_rotation_stiffness(x, cells, G, weights, mu, lam, is_mean, pairs, scale,
     F, R, _, theta, root, good, C = allocate_lanes()
     D, (e, q) = np.zeros((3 * (NODES - 1), LANES)), weights.shape
     S, Q, H = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    w, T = np.zeros((3, 3 * NODES)), np.zeros((3 * NODES, 3 * NODES))
+    w, T = np.zeros((3, WIDTH)), np.zeros((3 * NODES, WIDTH))
     for first in range(0, e * q, LANES):
         count = min(LANES, e * q - first)
         compute_gradients(x, cells, G[first // LANES], first, q, D, F)

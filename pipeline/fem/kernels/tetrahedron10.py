@@ -22,7 +22,7 @@ from pipeline.fem.kernels.tetrahedron import compute_stresses
 
 NODES = 10
 _ENTRIES = 3 * (NODES - 1)
-_WIDTH = 32  # room for 3 NODES columns in whole vectors
+WIDTH = 32  # room for 3 NODES columns in whole vectors
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -152,7 +152,7 @@ def force(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs, f
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _rotate_gradients(G, R, D, g):
-    """Write R grad N_a of every point into g (LANES, _WIDTH): entry 3 a + i; those of the first node close the sum."""
+    """Write R grad N_a of every point into g (LANES, WIDTH): entry 3 a + i; those of the first node close the sum."""
     for a in range(NODES - 1):
         for i in range(3):
             for l in range(LANES):
@@ -170,7 +170,7 @@ def _rotate_gradients(G, R, D, g):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _multiply_gradients(g, weights, first, T):
-    """Write sum w g_a (x) g_b, b <= a, into T (30, _WIDTH): g (LANES, _WIDTH) at the points of a cell from `first` on.
+    """Write sum w g_a (x) g_b, b <= a, into T (30, WIDTH): g (LANES, WIDTH) at the points of a cell from `first` on.
 
     Four points and three rows at once, and whole vectors of columns, take half the time of plain loops.
     """
@@ -219,7 +219,7 @@ def _scatter_stiffness(T, mu, lam, blocks, A):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _scatter_mean_stiffness(g, weights, first, lam, blocks, total, A):
-    """Add lam/V G_a (x) G_b to the blocks (a, b <= a) of a cell, G_a = sum w g_a; `total` (_WIDTH,) is scratch."""
+    """Add lam/V G_a (x) G_b to the blocks (a, b <= a) of a cell, G_a = sum w g_a; `total` (WIDTH,) is scratch."""
     total[:] = 0.0
     volume = 0.0
     for l in range(len(weights)):
@@ -245,7 +245,7 @@ def linearize(x, cells, G, weights, mu, lam, is_mean, rotation, pairs, scale, ha
     f[:] = 0.0
     F, R, P, W, root, good, C = allocate_lanes()
     D, (e, q) = np.zeros((_ENTRIES, LANES)), weights.shape
-    g, T = np.zeros((LANES, _WIDTH)), np.zeros((3 * NODES, _WIDTH))
+    g, T = np.zeros((LANES, WIDTH)), np.zeros((3 * NODES, WIDTH))
     for first in range(0, e * q, LANES):
         count = min(LANES, e * q - first)
         compute_gradients(x, cells, G[first // LANES], first, q, D, F)
