@@ -1,7 +1,7 @@
 """A TOML file becomes a validated, frozen Case with overrides and variants; no numerics are imported here."""
 
 from pipeline.case.keys import MaterialSpec, MeshSpec, MethodSpec, MovieSpec, OutputSpec, ScheduleSpec
-from pipeline.case.loads import BodyForceSpec, LoadsSpec, TractionSpec
+from pipeline.case.loads import BodyForceSpec, GravitySpec, LoadsSpec, PointLoadSpec, TractionSpec
 from pipeline.case.model import Case, load_case
 from pipeline.case.motions import InitialSpec, MotionSpec, SpinSpec, SupportSpec
 from pipeline.case.overrides import parse_override
@@ -10,6 +10,7 @@ from pipeline.case.selectors import HalfSpaceSpec, SelectorSpec, SphereSpec
 __all__ = [
     "BodyForceSpec",
     "Case",
+    "GravitySpec",
     "HalfSpaceSpec",
     "InitialSpec",
     "LoadsSpec",
@@ -19,6 +20,7 @@ __all__ = [
     "MotionSpec",
     "MovieSpec",
     "OutputSpec",
+    "PointLoadSpec",
     "ScheduleSpec",
     "SelectorSpec",
     "SphereSpec",

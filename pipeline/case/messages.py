@@ -7,7 +7,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from pipeline.case.keys import CaseFile
-from pipeline.case.values import join_key, suggest_toml
+from pipeline.case.values import MARKS, join_key, suggest_toml
 from pipeline.errors import quote_value
 
 WANTED = {
@@ -24,7 +24,7 @@ def describe_first_fault(error: ValidationError, overrides: Iterable[str] = ()) 
     details = error.errors(include_url=False)
     detail = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
     context: dict[str, Any] = detail.get("ctx", {})
-    parts = tuple(str(part) for part in detail["loc"] if part != "[key]") + tuple(context.get("key", ()))
+    parts = tuple(str(part) for part in detail["loc"] if part not in ("[key]", *MARKS)) + tuple(context.get("key", ()))
     match detail["type"]:
         case "extra_forbidden":
             whole = next((key for key in map(_split_key, overrides) if key[: len(parts)] == parts), parts)

@@ -4,10 +4,10 @@ from typing import Annotated
 
 from pydantic import model_validator
 
-from pipeline.case.python_values import PythonValue
+from pipeline.case.python_values import PythonValue, VectorOrPython
 from pipeline.case.selectors import SelectorSpec
 from pipeline.case.spec import Spec, about
-from pipeline.case.values import AxisNames, Direction, FiniteNumber, Vector, make_fault
+from pipeline.case.values import AxisNames, Direction, FiniteNumber, Positive, TimeFactor, Vector, make_fault
 
 
 class SpinSpec(Spec):
@@ -19,21 +19,30 @@ class SpinSpec(Spec):
 
 
 class MotionSpec(Spec):
-    """The motion of supported nodes: a velocity, a spin, or both; or a function from Python."""
+    """The motion of supported nodes: a velocity, a spin, or both; or a displacement with a history, or from Python."""
 
     velocity: Annotated[Vector | None, about("velocity of the nodes", "m/s")] = None
     spin: Annotated[SpinSpec | None, about("rotation of the nodes about an axis; needs a center")] = None
     displacement: Annotated[
-        PythonValue | None, about("displacement as a function of X and t, given in Python", "m")
+        VectorOrPython | None, about("displacement of the nodes, multiplied by the history, which starts at 0", "m")
     ] = None
+    history: Annotated[
+        TimeFactor | None,
+        about("factor of velocity and spin, or of displacement, as a function of t: an expression, or a table"),
+    ] = None
+    until: Annotated[Positive | None, about("time at which the motion ends; the nodes stay there", "s")] = None
 
     @model_validator(mode="after")
     def _check_motion(self) -> "MotionSpec":
         rigid = self.velocity is not None or self.spin is not None
         if not rigid and self.displacement is None:
-            raise make_fault("neither velocity nor spin is given")
+            raise make_fault("neither velocity nor spin is given, nor displacement")
         if rigid and self.displacement is not None:
             raise make_fault("cannot be combined with velocity or spin", "displacement")
+        if isinstance(self.displacement, tuple) and self.history is None:
+            raise make_fault('missing: displacement needs it, such as "ramp(t/0.5)"', "history")
+        if isinstance(self.displacement, PythonValue) and self.history is not None:
+            raise make_fault("cannot be combined with a function, which depends on t itself", "history")
         return self
 
 

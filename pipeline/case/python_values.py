@@ -1,12 +1,12 @@
 """Arrays and functions in a case that was made in Python; files carry only their descriptions."""
 
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import Discriminator, GetCoreSchemaHandler, GetJsonSchemaHandler, Tag
 from pydantic_core import CoreSchema
 from pydantic_core.core_schema import no_info_plain_validator_function
 
-from pipeline.case.values import make_fault
+from pipeline.case.values import PYTHON, VECTOR, Vector, make_fault
 from pipeline.errors import quote_value
 
 _KINDS = ("array ", "function ")
@@ -47,3 +47,9 @@ class PythonValue:
     @classmethod
     def __get_pydantic_json_schema__(cls, _schema: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {"type": "string", "python": True}  # case files have no such key, so the schema leaves it out
+
+
+VectorOrPython = Annotated[
+    Annotated[Vector, Tag(VECTOR)] | Annotated[PythonValue, Tag(PYTHON)],
+    Discriminator(lambda value: PYTHON if isinstance(value, PythonValue | str) else VECTOR),
+]

@@ -1,6 +1,6 @@
 """The keys that choose nodes of the rest mesh."""
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import AfterValidator, model_validator
 
@@ -40,6 +40,8 @@ Box = Annotated[tuple[Vector, ...], Length(2, 2), AfterValidator(_check_box)]
 class SelectorSpec(Spec):
     """A set of nodes, chosen by exactly one of plane (with at), box, sphere, below, above or nodes."""
 
+    kinds: ClassVar[tuple[str, ...]] = ("plane", "box", "sphere", "below", "above", "nodes")
+
     plane: Annotated[AxisName | None, about("nodes in the plane perpendicular to this axis; requires the key at")] = (
         None
     )
@@ -52,14 +54,17 @@ class SelectorSpec(Spec):
 
     @model_validator(mode="after")
     def _check_selector(self) -> "SelectorSpec":
-        kinds = ("plane", "box", "sphere", "below", "above", "nodes")
-        chosen = [kind for kind in kinds if getattr(self, kind) is not None]
+        chosen = self.list_chosen()
         if self.at is not None and not chosen:
             raise make_fault("needs plane, which is not given", "at")
         if not chosen:
-            raise make_fault(f"no selector; give one of {', '.join(kinds)}")
+            raise make_fault(f"no selector; give one of {', '.join(self.kinds)}")
         if len(chosen) > 1:
             raise make_fault(f"{chosen[0]} and {chosen[1]} cannot be combined")
-        if (self.plane is None) != (self.at is None):
+        if "at" not in chosen and (self.plane is None) != (self.at is None):
             raise make_fault("missing" if self.at is None else "needs plane, which is not given", "at")
         return self
+
+    def list_chosen(self) -> list[str]:
+        """Return the keys that choose nodes."""
+        return [kind for kind in self.kinds if kind != "at" and getattr(self, kind) is not None]

@@ -3,12 +3,22 @@
 import math
 import re
 import tomllib
+from itertools import pairwise
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, PlainValidator, WithJsonSchema
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    PlainValidator,
+    Tag,
+    WithJsonSchema,
+)
 from pydantic_core import CoreSchema, PydanticCustomError
 from pydantic_core.core_schema import no_info_after_validator_function, no_info_plain_validator_function
 
+from pipeline.case.expressions import compile_expression
 from pipeline.errors import quote_value, shorten
 
 # Counts and node numbers stay in 32 bits, as they do in VTK files and in compiled kernels.
@@ -16,6 +26,8 @@ LARGEST_INTEGER = 2**31 - 1
 # An energy is a product of six such numbers, which double precision can still represent.
 LARGEST_NUMBER, SMALLEST_POSITIVE = 1e30, 1e-30
 FOLDER_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
+# Choices between types, in the paths of faults; messages leave them out.
+VECTOR, TABLE, NUMBER, PYTHON = MARKS = ("[vector]", "[table]", "[number]", "[python]")
 # TOML, unlike other languages, requires digits on both sides of a point.
 BEFORE_POINT, AFTER_POINT = re.compile(r"(?<![\w.])\.(?=\d)"), re.compile(r"(?<=\d)\.(?!\d)")
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
@@ -202,6 +214,39 @@ def _check_frame_rate(value: Any) -> int:
     return int(value)
 
 
+def _check_history(value: Any) -> str | tuple[tuple[float, float], ...]:
+    """Return an expression of t, or the rows of a table as pairs of numbers."""
+    if isinstance(value, str):
+        try:
+            compile_expression(value)
+        except ValueError as error:
+            raise make_fault(f"{quote_value(value)}: {error}") from None
+        return value
+    if not isinstance(value, list | tuple):
+        raise make_fault(
+            f'{quote_value(value)} is neither an expression of t in quotes, such as "min(t/0.5, 1)", nor a table '
+            "[[t, value], ...]"
+        )
+    if len(value) < 2:
+        raise make_fault(f"has {len(value)} row{'s' * (len(value) != 1)}; a table needs two or more, each [t, value]")
+    rows = tuple(_check_row(index, row) for index, row in enumerate(value))
+    for index, ((before, _), (after, _)) in enumerate(pairwise(rows)):
+        if after <= before:
+            raise make_fault(f"t = {after:g} is not above t = {before:g} of the row before", str(index + 1))
+    return rows
+
+
+def _check_row(index: int, row: Any) -> tuple[float, float]:
+    if not isinstance(row, list | tuple) or len(row) != 2:
+        raise make_fault(f"{quote_value(row)} is not [t, value]", str(index))
+    for part, entry in enumerate(row):
+        try:
+            _check_number(entry)
+        except PydanticCustomError as error:
+            raise make_fault(str((error.context or {})["message"]), str(index), str(part)) from None
+    return float(row[0]), float(row[1])
+
+
 def _as_json(kind: str, **limits: Any) -> WithJsonSchema:
     """Return the JSON Schema of a type that has its own validator."""
     return WithJsonSchema({"type": kind, **limits})
@@ -225,9 +270,28 @@ EvenCount = Annotated[int, PlainValidator(_check_even), _as_json("integer", mini
 FrameRate = Annotated[int, PlainValidator(_check_frame_rate), _as_json("integer", minimum=1, maximum=120)]
 Text = Annotated[str, PlainValidator(_check_text), _as_json("string", minLength=1)]
 FolderName = Annotated[str, PlainValidator(check_folder_name), _as_json("string", pattern=f"^{FOLDER_NAME.pattern}$")]
+TimeFactor = Annotated[
+    str | tuple[tuple[float, float], ...],
+    PlainValidator(_check_history),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "string", "minLength": 1},
+                {
+                    "type": "array",
+                    "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+                },
+            ]
+        }
+    ),
+]
 AxisName = Annotated[str, OneOf("x", "y", "z")]
 AxisNames = Annotated[tuple[AxisName, ...], Length(1), AfterValidator(_check_different)]
 Vector = Annotated[tuple[FiniteNumber, ...], Length(2, 3)]
+VectorOrNumber = Annotated[
+    Annotated[Vector, Tag(VECTOR)] | Annotated[FiniteNumber, Tag(NUMBER)],
+    Discriminator(lambda value: VECTOR if isinstance(value, list | tuple) else NUMBER),
+]
 Direction = Annotated[tuple[FiniteNumber, ...], Length(3, 3), AfterValidator(_check_direction)]
 Lengths = Annotated[tuple[Positive, ...], Length(2, 3)]
 Counts = Annotated[tuple[Count, ...], Length(2, 3)]

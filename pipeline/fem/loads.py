@@ -1,11 +1,16 @@
-"""Dead loads: nodal forces that depend on the rest shape only; their potential is -f . u."""
+"""Dead loads: nodal forces that depend on the rest shape, and perhaps on time, but not on the motion.
+
+The potential of constant ones is -f . u; those that vary with time have none, but do the work f . dx in a step.
+"""
+
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.mass import consistent_masses
 from pipeline.mesh.element_mesh import ElementMesh
-from pipeline.mesh.surface import integrate_normals
+from pipeline.mesh.surface import integrate_areas, integrate_normals
 
 
 def body_force(mesh: ElementMesh, b: Floats) -> Floats:
@@ -26,3 +31,46 @@ def normal_traction(mesh: ElementMesh, faces: Ints, traction: float) -> Floats:
     for a, nodes in enumerate(faces.T):
         np.add.at(f, nodes, shares[:, a])
     return f
+
+
+def vector_traction(mesh: ElementMesh, faces: Ints, traction: Floats) -> Floats:
+    """Return the nodal forces t int N_a dA (n, d) [N] of a traction vector (d,) [Pa] on rest faces (f, k)."""
+    f, shares = np.zeros_like(mesh.points), integrate_areas(mesh.points, faces)
+    for a, nodes in enumerate(faces.T):
+        np.add.at(f, nodes, shares[:, a, None] * traction)
+    return f
+
+
+def point_force(mesh: ElementMesh, cell: int, weights: Floats, force: Floats) -> Floats:
+    """Return the nodal forces (n, d) [N] of a force (d,) in a cell at which the shape functions are `weights`."""
+    f, nodes = np.zeros_like(mesh.points), mesh.cells[cell]
+    f[nodes] = weights[: len(nodes), None] * force
+    return f
+
+
+class VaryingLoad:
+    """A sum of nodal forces that vary with time: arrays (n, d) [N] with factors, and functions that return arrays.
+
+    The forces at the last two times are remembered, for those who ask again in the same step.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[tuple[Callable[[float], float], Floats]],
+        functions: Sequence[Callable[[float], Floats]] = (),
+    ) -> None:
+        self.parts = tuple(parts)
+        self.functions = tuple(functions)
+        self._recent: list[tuple[float, Floats]] = []
+
+    def __call__(self, time: float) -> Floats:
+        """Return the forces (n, d) [N] at a time [s]; the caller must not change them."""
+        for when, forces in self._recent:
+            if when == time:
+                return forces
+        terms = [factor(time) * f for factor, f in self.parts] + [function(time) for function in self.functions]
+        total = terms[0]
+        for term in terms[1:]:
+            total = total + term
+        self._recent = [*self._recent[-1:], (time, total)]
+        return total

@@ -59,14 +59,57 @@ def integrate_normals(points: Floats, faces: Ints, factor: float = 1.0) -> Float
     if d == 2:
         at, weights = np.polynomial.legendre.leggauss(3)
         at, weights = (at + 1) / 2, weights / 2
+    else:
+        at, weights = find_quadrature(make_kind("triangle 2"), "nodes")
+    N, normals = _find_normals(points, faces, at)
+    return factor * np.einsum("qa,q,fqc->fac", N, weights, normals)
+
+
+def integrate_areas(points: Floats, faces: Ints) -> Floats:
+    """Return int N_a dA (f, k) of faces (f, k) of order 1 or 2: exact if they are flat, with straight sides.
+
+    The area of a curved face has no closed form: a rule of degree 11 is used, with 36 points (6 in the plane).
+    """
+    k, d = faces.shape[1], points.shape[1]
+    if k == d:
+        areas = np.linalg.norm(outward_areas(points, faces), axis=1)
+        return np.repeat((areas / d)[:, None], k, axis=1)
+    at, weights = np.polynomial.legendre.leggauss(6)
+    at, weights = (at + 1) / 2, weights / 2
+    if d == 3:  # a square, of which one side shrinks to a corner
+        first, second = np.repeat(at, 6), np.tile(at, 6)
+        weights = np.repeat(weights, 6) * np.tile(weights, 6) * (1 - first)
+        at = np.stack([first, second * (1 - first)], axis=1)
+    N, normals = _find_normals(points, faces, at)
+    return np.einsum("qa,q,fq->fa", N, weights, np.linalg.norm(normals, axis=-1))
+
+
+def _find_normals(points: Floats, faces: Ints, at: Floats) -> tuple[Floats, Floats]:
+    """Return N (q, k) and n dA/d(r, s) (f, q, d) of quadratic faces at natural coordinates."""
+    if points.shape[1] == 2:
         N = np.stack([(1 - at) * (1 - 2 * at), at * (2 * at - 1), 4 * at * (1 - at)], axis=1)
         slopes = np.stack([4 * at - 3, 4 * at - 1, 4 - 8 * at], axis=1)
         tangent = np.einsum("qa,fac->fqc", slopes, points[faces])
-        normals = np.stack([tangent[..., 1], -tangent[..., 0]], axis=-1)
-    else:
-        kind = make_kind("triangle 2")
-        at, weights = find_quadrature(kind, "nodes")
-        N, derivatives = kind.evaluate(at), kind.differentiate(at)
-        first, second = np.einsum("qaj,fac->jfqc", derivatives, points[faces])
-        normals = np.cross(first, second)
-    return factor * np.einsum("qa,q,fqc->fac", N, weights, normals)
+        return N, np.stack([tangent[..., 1], -tangent[..., 0]], axis=-1)
+    kind = make_kind("triangle 2")
+    first, second = np.einsum("qaj,fac->jfqc", kind.differentiate(at), points[faces])
+    return kind.evaluate(at), np.cross(first, second)
+
+
+def measure_distance(mesh: ElementMesh, point: Floats) -> float:
+    """Return the distance of a point (d,) from the boundary [m]; curved faces count as those of their corners."""
+    faces, _ = find_boundary_faces(mesh)
+    corners = mesh.points[faces[:, : mesh.dimension]]
+    distance = np.inf
+    for a, b in [(0, 1)] if mesh.dimension == 2 else [(0, 1), (1, 2), (2, 0)]:
+        side, arm = corners[:, b] - corners[:, a], point - corners[:, a]
+        part = np.clip((side * arm).sum(axis=1) / (side**2).sum(axis=1), 0, 1)
+        distance = min(distance, float(np.linalg.norm(arm - part[:, None] * side, axis=1).min()))
+    if mesh.dimension == 3:
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        sides, arms = np.roll(corners, -1, axis=1) - corners, point - corners
+        inside = (np.einsum("fac,fc->fa", np.cross(sides, arms), normals) >= 0).all(axis=1)
+        heights = np.abs((arms[:, 0] * normals).sum(axis=1))[inside]
+        distance = min(distance, float(heights.min(initial=np.inf)))
+    return distance

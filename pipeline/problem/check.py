@@ -11,6 +11,7 @@ from pipeline.errors import SolveError
 from pipeline.fem.modes import find_lowest_frequencies
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.simplex import label_components, measure_quality
+from pipeline.problem.loads import format_total
 from pipeline.problem.methods import MODE_FACTORS
 from pipeline.problem.problem import Problem
 from pipeline.stepping.symplectic_euler import element_limit, true_limit
@@ -113,6 +114,8 @@ def format_check(check: Check, problem: Problem) -> list[str]:
         f"median {check.median_quality:.3f}; 1 is regular",
         f"mass         {check.mass:.6g} kg; pressure waves travel at {check.wave_speed:.4g} m/s",
     ]
+    end = problem.last_step * problem.dt
+    rows += [f"load         {format_total(total, end)}" for total in problem.loads]
     if np.isfinite(check.omega_1):
         rows += [
             f"omega_1      {check.omega_1:.4g} rad/s, the lowest elastic one ({check.omega_1 / 2 / np.pi:.4g} Hz)",

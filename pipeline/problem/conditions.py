@@ -1,33 +1,22 @@
-"""Boundary and initial conditions: node selections, supports and their motions, dead loads, the initial state."""
+"""Boundary and initial conditions: node selections, supports, the initial state."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from pipeline.arrays import Floats, Ints
-from pipeline.case import Case, SpinSpec, SupportSpec
-from pipeline.case.python_values import PythonValue
+from pipeline.arrays import Ints
+from pipeline.case import Case, SelectorSpec, SupportSpec
 from pipeline.fem.body import Body
-from pipeline.fem.loads import body_force, body_force_field, normal_traction
-from pipeline.fem.supports import Guides, Motion, PrescribedMotion, RigidMotion, Supports
+from pipeline.fem.supports import Guides, Motion, Supports
 from pipeline.mesh.element_mesh import ElementMesh
-from pipeline.mesh.surface import find_boundary_faces
+from pipeline.problem.case_values import get_python_value, read_axis, read_vector
+from pipeline.problem.motions import make_motion
 from pipeline.stepping.state import State
 
 AXES = {"x": 0, "y": 1, "z": 2}
 _REACH = 1e-9  # of the size: coordinates of nodes on a plane are off by rounding, about 1e-16 of the size
 _NEAR = 1e-6  # of the size: single precision, or text of seven digits, takes nodes that far off a plane
-_FIRST_INSTANT = 1e-4  # of a step: the time over which the initial velocity of a prescribed motion is taken
-
-
-def read_vector(case: Case, key: str, value: tuple[float, ...] | None, d: int) -> Floats:
-    """Return a vector (d,) of the case, zeros if it is None; raises CaseError if its length is not d."""
-    if value is None:
-        return np.zeros(d)
-    if len(value) != d:
-        raise case.make_error(key, f"{list(value)} has {len(value)} components, the mesh has {d} dimensions")
-    return np.array(value, dtype=np.float64)
 
 
 def select_nodes(case: Case, key: str, selector: Any, mesh: ElementMesh) -> Ints:
@@ -59,9 +48,9 @@ def select_nodes(case: Case, key: str, selector: Any, mesh: ElementMesh) -> Ints
 
 
 def note_near_nodes(case: Case, mesh: ElementMesh) -> list[str]:
-    """Return notes on planes of supports and tractions that miss nodes nearby, as rounded coordinates do."""
+    """Return notes on planes of supports and loads that miss nodes nearby, as rounded coordinates do."""
     notes = []
-    for name, selectors in (("supports", case.supports), ("loads.traction", case.loads.traction)):
+    for name, selectors in _list_selectors(case):
         for i, selector in enumerate(selectors):
             if selector.plane is None or selector.at is None:
                 continue
@@ -73,6 +62,10 @@ def note_near_nodes(case: Case, mesh: ElementMesh) -> list[str]:
                     f"not on it; to take them: box, or round the coordinates along {selector.plane}"
                 )
     return notes
+
+
+def _list_selectors(case: Case) -> list[tuple[str, Sequence[SelectorSpec]]]:
+    return [("supports", case.supports), ("loads.traction", case.loads.traction), ("loads.point", case.loads.point)]
 
 
 def _check_nodes(case: Case, key: str, nodes: tuple[int, ...], count: int) -> Ints:
@@ -93,7 +86,7 @@ def make_supports(case: Case, mesh: ElementMesh) -> Supports:
         taken[nodes[:, None], axes] = i
         if spec.motion is None:
             continue
-        motion = _make_motion(case, f"supports.{i}.motion", spec.motion, mesh)
+        motion = make_motion(case, f"supports.{i}.motion", spec.motion, d)
         if len(axes) == d:
             motions.append((nodes, motion))
         else:
@@ -114,11 +107,14 @@ def _read_components(case: Case, key: str, spec: SupportSpec, d: int) -> Ints:
     if axes[-1] >= d:
         place = spec.components.index("z")
         raise case.make_error(f"{key}.components.{place}", "'z' is not an axis of a planar mesh")
-    velocity = None if spec.motion is None else spec.motion.velocity
-    lost = [] if velocity is None else [name for name, i in AXES.items() if i not in axes and any(velocity[i : i + 1])]
-    if lost:
-        message = f"moves the nodes along {lost[0]}, which is not one of the components {', '.join(spec.components)}"
-        raise case.make_error(f"{key}.motion.velocity", message)
+    for name in ("velocity", "displacement"):
+        vector = getattr(spec.motion, name, None)
+        moved = vector if isinstance(vector, tuple) else ()
+        lost = [axis for axis, i in AXES.items() if i not in axes and any(moved[i : i + 1])]
+        if lost:
+            known = ", ".join(spec.components)
+            message = f"moves the nodes along {lost[0]}, which is not one of the components {known}"
+            raise case.make_error(f"{key}.motion.{name}", message)
     return axes
 
 
@@ -136,89 +132,6 @@ def _check_taken(case: Case, number: int, nodes: Ints, axes: Ints, taken: Ints) 
     raise case.make_error(f"supports.{number}", f"node {nodes[node]} is already held{along} by supports.{other}")
 
 
-def _make_motion(case: Case, key: str, spec: Any, mesh: ElementMesh) -> Motion:
-    d = mesh.dimension
-    if spec.displacement is not None:
-        displacement = get_python_value(case, f"{key}.displacement", spec.displacement)
-        return PrescribedMotion(displacement, _FIRST_INSTANT * case.schedule.dt)
-    velocity = read_vector(case, f"{key}.velocity", spec.velocity, d)
-    if spec.spin is None:
-        return RigidMotion(velocity, np.array([0.0, 0.0, 1.0]), 0.0, np.zeros(d))
-    axis = _read_axis(case, f"{key}.spin", spec.spin, d)
-    if spec.spin.center is None:
-        raise case.make_error(f"{key}.spin.center", "missing: the point that the supports turn about")
-    center = read_vector(case, f"{key}.spin.center", spec.spin.center, d)
-    return RigidMotion(velocity, axis, float(np.radians(spec.spin.rate)), center)
-
-
-def _read_axis(case: Case, key: str, spin: SpinSpec, d: int) -> Floats:
-    """Return the unit axis (3,); in the plane it must be along z."""
-    axis = np.array(spin.axis, dtype=np.float64)
-    if d == 2 and axis[:2].any():
-        raise case.make_error(f"{key}.axis", f"{list(spin.axis)} is not along z; the mesh is planar")
-    axis /= np.abs(axis).max()  # the square of a tiny component would underflow
-    return np.asarray(axis / np.linalg.norm(axis))
-
-
-def make_dead_load(case: Case, mesh: ElementMesh) -> Floats:
-    """Return the sum of the dead loads (n, d) [N]."""
-    d = mesh.dimension
-    density = case.material.density * read_vector(case, "loads.gravity", case.loads.gravity, d)
-    if case.loads.body_force is not None:
-        b = case.loads.body_force
-        density += b.factor * read_vector(case, "loads.body_force", b.value, d)
-    f = body_force(mesh, density)
-    faces, _ = find_boundary_faces(mesh) if case.loads.traction else (np.zeros((0, d), np.int64), None)
-    for i, spec in enumerate(case.loads.traction):
-        chosen = np.zeros(len(mesh.points), dtype=bool)
-        chosen[select_nodes(case, f"loads.traction.{i}", spec, mesh)] = True
-        loaded = faces[chosen[faces].all(axis=1)]
-        if not len(loaded):
-            raise case.make_error(f"loads.traction.{i}", "its nodes are not the corners of any boundary face")
-        f += normal_traction(mesh, loaded, spec.normal_traction)
-    return f + _integrate_fields(case, mesh)
-
-
-def get_python_value(case: Case, key: str, entry: PythonValue) -> Any:
-    """Return an array or function that the case carries; raises CaseError if it was read back from a file."""
-    if entry.value is None:
-        raise case.make_error(key, "was given in Python and is not in the file; make the case in Python again")
-    return entry.value
-
-
-def _integrate_fields(case: Case, mesh: ElementMesh) -> Floats:
-    """Return the nodal forces (n, d) [N] of arrays that were given in Python."""
-    f = np.zeros_like(mesh.points)
-    for name, integrate in _LOAD_FIELDS.items():
-        entry = getattr(case.loads, name)
-        if entry is not None and not callable(value := get_python_value(case, f"loads.{name}", entry)):
-            f += integrate(mesh, value)
-    return f
-
-
-def make_varying_load(case: Case, mesh: ElementMesh) -> Callable[[float], Floats] | None:
-    """Return the dead loads (n, d) [N] that are functions of time [s], None if there are none."""
-    functions = [
-        (integrate, value)
-        for name, integrate in _LOAD_FIELDS.items()
-        if (entry := getattr(case.loads, name)) is not None
-        and callable(value := get_python_value(case, f"loads.{name}", entry))
-    ]
-    if not functions:
-        return None
-
-    def load(time: float) -> Floats:
-        return np.asarray(sum(integrate(mesh, function(mesh.points, time)) for integrate, function in functions))
-
-    return load
-
-
-_LOAD_FIELDS: dict[str, Callable[[ElementMesh, Floats], Floats]] = {
-    "body_force_field": body_force_field,
-    "nodal_forces": lambda mesh, forces: forces,
-}
-
-
 def make_initial_state(case: Case, body: Body) -> State:
     """Return the initial state: rest positions, the case's velocity and spin, and the supports' for held nodes."""
     mesh, initial = body.mesh, case.initial
@@ -230,7 +143,7 @@ def make_initial_state(case: Case, body: Body) -> State:
         mean = mesh.node_volumes @ mesh.points / mesh.rest_volumes.sum()  # the center of mass of a uniform body
         spin = initial.spin
         center = mean if spin.center is None else read_vector(case, "initial.spin.center", spin.center, d)
-        omega = np.radians(spin.rate) * _read_axis(case, "initial.spin", spin, d)
+        omega = np.radians(spin.rate) * read_axis(case, "initial.spin", spin, d)
         arm = np.pad(mesh.points - center, [(0, 0), (0, 3 - d)])
         v = v + np.cross(omega, arm)[:, :d]
     v = np.where(body.free_mask[:, None], initial.factor * v, 0.0)

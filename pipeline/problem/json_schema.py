@@ -100,7 +100,10 @@ def _without_null(node: Any) -> Any:
     if not isinstance(node, dict):
         return node
     out = {key: _without_null(value) for key, value in node.items() if not (key == "title" and isinstance(value, str))}
+    if "oneOf" in out:  # of types that cannot be mistaken for each other
+        out["anyOf"] = out.pop("oneOf")
     kinds = [kind for kind in out.get("anyOf", ()) if kind != {"type": "null"}]
+    kinds = [kind for kind in kinds if "python" not in kind] or kinds  # a file can have the others only
     if len(kinds) == 1:
         out = {**kinds[0], **{key: value for key, value in out.items() if key != "anyOf"}}
     elif kinds:

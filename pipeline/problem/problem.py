@@ -10,19 +10,19 @@ from pipeline.fem.body import Body, Formulation
 from pipeline.fem.compiled_body import make_body
 from pipeline.fem.laws import Corotational, Law
 from pipeline.fem.material import Material
+from pipeline.fem.supports import Supports
 from pipeline.linear.pardiso import load_mkl
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.quadratic import raise_order
 from pipeline.mesh.simplex import Mesh, label_components
+from pipeline.problem.case_values import get_python_value
 from pipeline.problem.conditions import (
-    get_python_value,
-    make_dead_load,
     make_initial_state,
     make_supports,
-    make_varying_load,
     note_near_nodes,
 )
+from pipeline.problem.loads import LoadSum, LoadTotal, make_loads
 from pipeline.problem.methods import (
     INVERSIONS,
     LAWS,
@@ -50,6 +50,7 @@ class Problem:
     steps_per_frame: int
     last_frame: int
     notes: tuple[str, ...] = ()
+    loads: tuple[LoadTotal, ...] = ()
 
     def __repr__(self) -> str:
         mesh = self.body.mesh
@@ -86,22 +87,23 @@ def build(case: Case, *, mesh: ElementMesh | None = None) -> Problem:
     case = resolve_mass(case)
     _check_method(case)
     mesh = build_mesh(case) if mesh is None else mesh
-    body = _make_body(case, mesh)
+    supports = make_supports(case, mesh)
+    loads = make_loads(case, mesh, supports.nodes)
+    body = _make_body(case, mesh, supports, loads)
     if not body.free_components.size:
         raise case.make_error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
     _check_step(case, body)
     s = case.schedule
     start = make_initial_state(case, body)
     name = f"{case.name}/{case.variant_name}"
-    return Problem(name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, _list_notes(case, mesh))
+    notes = (*_list_notes(case, mesh), *loads.notes)
+    return Problem(name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, notes, loads.totals)
 
 
-def _make_body(case: Case, mesh: ElementMesh) -> Body:
-    law, mass = _make_law(case), MASSES[case.method.mass].part
-    load, varying_load = make_dead_load(case, mesh), make_varying_load(case, mesh)
-    supports, method = make_supports(case, mesh), case.method
+def _make_body(case: Case, mesh: ElementMesh, supports: Supports, loads: LoadSum) -> Body:
+    law, mass, method = _make_law(case), MASSES[case.method.mass].part, case.method
     formulation = Formulation(cast(Any, method.rotation_at), cast(Any, method.volumetric))
-    return make_body(mesh, law, supports, load, mass, varying_load, formulation)
+    return make_body(mesh, law, supports, loads.constant, mass, loads.varying, formulation)
 
 
 def _make_law(case: Case) -> Law:

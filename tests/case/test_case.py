@@ -131,17 +131,25 @@ def test_everything_that_can_be_said_survives_a_round_trip():
             {"below": {"axis": "z", "at": -1.0}},
             {"above": {"axis": "x", "at": 3.0}, "motion": {"spin": spin}},
             {"nodes": [0, 7]},
+            {"plane": "z", "at": 9.0, "motion": {"displacement": [1.0, 0.0, 0.0], "history": "t", "until": 2.0}},
         ],
-        "loads.gravity": [0.0, 0.0, -9.81],
+        "loads.gravity": {"value": [0.0, 0.0, -9.81], "history": "min(t/0.5, 1)"},
         "loads.body_force": [0.0, -18.0, -9.0],
-        "loads.traction": [{"plane": "y", "at": 0.0, "normal_traction": 1e5}],
+        "loads.traction": [
+            {"plane": "y", "at": 0.0, "normal_traction": 1e5, "history": [[0.0, 0.0], [1.0, 2.0]]},
+            {"plane": "y", "at": 0.0, "traction": [1e5, 0.0, 0.0]},
+        ],
+        "loads.point": [
+            {"at": [0.0, 1.0, 2.0], "force": [0.0, 0.0, 1.0]},
+            {"plane": "x", "at": 1.0, "force": [0.0, 0.0, 1.0]},
+        ],
         "initial": {"velocity": [0.0, 0.0, -1.0], "factor": 2.0, "spin": spin},
         "method.iterations": "converged",
         "schedule": {"dt": 0.1, "frame_interval": 0.3, "frames": 4},
         "movie": {"variants": ["polar"], "speed": 0.5, "title": "größer → 2 m³"},
     }
     case = load(everything)
-    assert case.loads.body_force.model_dump() == {"value": (0.0, -18.0, -9.0), "factor": 1.0}
+    assert case.loads.body_force.model_dump() == {"value": (0.0, -18.0, -9.0), "factor": 1.0, "history": None}
     assert case.schedule.steps_per_frame == 3
     Path("again.toml").write_text(case.to_toml(), encoding="utf-8")
     assert load_case("again.toml").as_dict() == case.as_dict()
@@ -185,8 +193,8 @@ def test_no_numerics_are_imported():
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             allowed = {
-                "ast", "collections", "difflib", "html", "math", "os", "pathlib", "pydantic", "pydantic_core", "re",
-                "tomli_w", "tomllib", "typing",
+                "ast", "collections", "difflib", "html", "itertools", "math", "operator", "os", "pathlib", "pydantic",
+                "pydantic_core", "re", "tomli_w", "tomllib", "typing",
             }  # fmt: skip
             for name in names:
                 assert name.split(".")[0] in allowed or name.startswith(
@@ -343,7 +351,7 @@ WRONG = [
         "supports.0.box: [0.0, 2.0] is not below [1.0, 1.0]; write [[lowest], [highest]]",
     ),
     ({"supports": [{"sphere": {"center": [0, 0, 0]}}]}, "supports.0.sphere.radius: missing"),
-    ({"supports.0.motion": {}}, "supports.0.motion: neither velocity nor spin is given"),
+    ({"supports.0.motion": {}}, "supports.0.motion: neither velocity nor spin is given, nor displacement"),
     (
         {"supports.0.motion": {"spin": {"axis": [0, 1], "rate": 1}}},
         "supports.0.motion.spin.axis: has 2 entries, not 3",
@@ -354,7 +362,10 @@ WRONG = [
     ({"loads.body_force": [0, "a"]}, "loads.body_force.value.1: 'a' is not a number"),
     ({"loads.body_force": 3}, "loads.body_force: 3 is not a table"),
     ({"loads.body_force": {"factor": 3}}, "loads.body_force.value: missing"),
-    ({"loads.traction": [{"plane": "y", "at": 0}]}, "loads.traction.0.normal_traction: missing"),
+    (
+        {"loads.traction": [{"plane": "y", "at": 0}]},
+        "loads.traction.0.normal_traction: missing; give normal_traction, or traction as a vector",
+    ),
     ({"initial.spin": {**SPIN, "axis": [0, 0, 0]}}, "initial.spin.axis: a zero vector is not a direction"),
     ({"initial.spin.axis": [0, 0, 1]}, "initial.spin.rate: missing"),
     ({"initial.factor": "big"}, "initial.factor: 'big' is not a number"),
@@ -585,7 +596,7 @@ SCALARS = st.one_of(
     st.none(),
     st.booleans(),
     st.integers(-(10**30), 10**30),
-    st.sampled_from([10**400, 2**63, 0.5, -1.0, 1e-320, 1e308, "converged", "y", "", "{message}"]),
+    st.sampled_from([10**400, 2**63, 0.5, -1.0, 1e-320, 1e308, "converged", "y", "", "{message}", "sin(t)", "(((t"]),
     st.floats(),
     st.text(max_size=8),
     st.dates(),
@@ -594,7 +605,7 @@ SCALARS = st.one_of(
 KEYWORDS = st.sampled_from(
     """
     name mesh shape size cells file scale plane at box sphere center radius below axis nodes motion
-    velocity spin rate gravity body_force value factor traction dt frames frame_interval
+    velocity spin rate gravity body_force value factor traction dt frames frame_interval history until force point
     steps_per_frame variants movie a.b 0
     """.split()
 )
@@ -609,7 +620,8 @@ PLACES = st.one_of(
         """
     name mesh mesh.size mesh.cells mesh.file mesh.split material material.density supports
     supports.0 supports.0.at supports.0.box supports.0.sphere supports.0.motion
-    supports.0.motion.spin loads loads.body_force loads.traction loads.gravity initial initial.spin
+    supports.0.motion.spin supports.0.motion.history supports.0.motion.displacement loads loads.body_force
+    loads.body_force.history loads.traction loads.gravity loads.point initial initial.spin
     method method.law method.iterations method.mass schedule schedule.dt schedule.frames
     schedule.frame_interval output output.format movie movie.variants movie.size movie.fps
     movie.title variants variants.linear variants.linear.schedule.dt variants.linear.loads

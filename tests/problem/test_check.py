@@ -31,7 +31,7 @@ def test_the_lines_name_the_order_and_the_rest_is_as_before(tmp_path):
     lines = format_check(check_problem(problem), problem)
     assert lines[:2] == ["nodes        63, of which 9 are held", "tetrahedra   18 of order 2 in 1 component"]
     assert [line.split()[0] for line in lines[2:]] == [
-        "volume", "quality", "mass", "omega_1", "omega_1", "damping", "phase", "explicit"
+        "volume", "quality", "mass", "load", "omega_1", "omega_1", "damping", "phase", "explicit"
     ]  # fmt: skip
     assert "nan" not in " ".join(lines)
 
