@@ -24,6 +24,7 @@ from pipeline.case.values import (
     PictureSize,
     PoissonRatio,
     Positive,
+    Repeats,
     Text,
     check_folder_name,
     make_fault,
@@ -44,6 +45,9 @@ class MeshSpec(Spec):
     split: Annotated[Text, about("how a block is split into simplices")] = "kuhn"
     order: Annotated[ElementOrder, about("degree of the shape functions, 1 or 2; 2 is cheaper for an accuracy")] = 1
     file: Annotated[Text | None, about("a mesh file (docs/meshes.md), relative to the case file")] = None
+    refine: Annotated[
+        Repeats, about("how often every cell is cut into 8, or 4 in the plane, with sides half as long")
+    ] = 0
     scale: Annotated[Positive, about("factor that turns the file's coordinates into meters")] = 1.0
     arrays: Annotated[PythonValue | None, about("points and cells, given in Python")] = None
 

@@ -25,6 +25,7 @@ from pipeline.errors import quote_value, shorten
 LARGEST_INTEGER = 2**31 - 1
 # An energy is a product of six such numbers, which double precision can still represent.
 LARGEST_NUMBER, SMALLEST_POSITIVE = 1e30, 1e-30
+_MOST_REPEATS = 10  # 8^10 children of one cell
 FOLDER_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 # Choices between types, in the paths of faults; messages leave them out.
 VECTOR, TABLE, NUMBER, PYTHON = MARKS = ("[vector]", "[table]", "[number]", "[python]")
@@ -107,6 +108,12 @@ def check_integer(value: Any) -> int:
 def _check_count(value: Any) -> int:
     if check_integer(value) < 1:
         raise make_fault(f"{value} is not positive")
+    return int(value)
+
+
+def _check_repeats(value: Any) -> int:
+    if not 0 <= check_integer(value) <= _MOST_REPEATS:
+        raise make_fault(f"{value} is not between 0 and {_MOST_REPEATS}")
     return int(value)
 
 
@@ -259,6 +266,7 @@ PoissonRatio = Annotated[
     float, PlainValidator(_check_poisson_ratio), _as_json("number", exclusiveMinimum=-1, exclusiveMaximum=0.5)
 ]
 Count = Annotated[int, PlainValidator(_check_count), _as_json("integer", minimum=1)]
+Repeats = Annotated[int, PlainValidator(_check_repeats), _as_json("integer", minimum=0, maximum=_MOST_REPEATS)]
 ElementOrder = Annotated[int, PlainValidator(_check_order), _as_json("integer", minimum=1, maximum=2)]
 NodeNumber = Annotated[int, PlainValidator(_check_node_number), _as_json("integer", minimum=0)]
 Iterations = Annotated[

@@ -75,8 +75,10 @@ def _add_tradeoff_options(parser: argparse.ArgumentParser) -> None:
                         help="accepted node distance over size, and half of |J - J_ref| (%(default)s)")  # fmt: skip
     parser.add_argument("--dt", dest="dts", type=float, nargs="+", default=[], metavar="S",
                         help=f"step sizes to try, all divisors of the longest ({factors} of the case's)")  # fmt: skip
-    parser.add_argument("--refine", type=int, nargs="+", default=[], metavar="N",
-                        help="meshes to try: N times the cells along an axis of a box or rectangle (1 2)")  # fmt: skip
+    parser.add_argument("--refine", type=float, nargs="+", default=[], metavar="N",
+                        help="meshes to try: N times the cells along each axis (1 2, and 0.5 for order 2)")  # fmt: skip
+    parser.add_argument("--order", dest="orders", type=int, nargs="+", default=[], metavar="N",
+                        help="orders of elements to try (1 2)")  # fmt: skip
     parser.add_argument("--repeats", type=int, default=find_default(study_tradeoff, "repeats"), metavar="N",
                         help="runs per setting; its time is their median (%(default)s)")  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="try three step sizes, on the case's mesh only")
@@ -95,6 +97,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
             tolerance=options.tolerance,
             dts=options.dts,
             refinements=options.refine,
+            orders=options.orders,
             steps=options.steps,
             quick=options.quick,
         )

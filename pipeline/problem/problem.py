@@ -15,6 +15,7 @@ from pipeline.linear.pardiso import load_mkl
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.quadratic import raise_order
+from pipeline.mesh.refinement import refine_mesh
 from pipeline.mesh.simplex import Mesh, label_components
 from pipeline.problem.case_values import get_python_value
 from pipeline.problem.conditions import (
@@ -117,8 +118,9 @@ def _make_law(case: Case) -> Law:
 def build_mesh(case: Case) -> ElementMesh:
     """Return the rest mesh of a case; raises CaseError or MeshError."""
     try:
-        mesh = _build_linear_mesh(case)
-        return raise_order(mesh) if case.mesh.order == 2 else mesh
+        linear = _build_linear_mesh(case)
+        mesh = raise_order(linear) if case.mesh.order == 2 else linear
+        return refine_mesh(mesh, case.mesh.refine) if case.mesh.refine else mesh
     except MeshError as error:
         raise case.make_error("mesh", str(error)) from error
 

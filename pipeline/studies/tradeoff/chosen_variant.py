@@ -8,7 +8,8 @@ from typing import Any
 from pipeline.case import load_case
 from pipeline.errors import CaseError
 from pipeline.formats.atomic import replace_file
-from pipeline.studies.tradeoff.settings import Plan, Setting, make_mesh_keys, make_method_keys
+from pipeline.studies.tradeoff.levels import make_mesh_keys
+from pipeline.studies.tradeoff.settings import Plan, Setting, make_method_keys
 from pipeline.system.times import count_intervals
 
 NAME = "adequate"
@@ -62,4 +63,4 @@ def _make_overrides(plan: Plan, setting: Setting) -> dict[str, Any]:
             "steps_per_frame": 1,
             "frames": max(1, int(interval * schedule.frames / setting.dt)),
         }
-    return make_method_keys(plan, setting) | make_mesh_keys(plan, setting) | {"schedule": frames}
+    return make_method_keys(plan, setting) | make_mesh_keys(plan.case, setting.level) | {"schedule": frames}

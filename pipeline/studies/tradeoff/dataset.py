@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 KNOBS = {
     "refinement": "cells of the case's mesh along each axis, times this",
+    "order": "degree of the shape functions",
     "mass": "mass matrix",
     "stepper": "time stepper",
     "dt": "time step",
@@ -52,7 +53,7 @@ def make_dataset(table: ErrorTable) -> "xarray.Dataset":
         "title": f"{table.plan.case.name}: work against precision",
         "tolerance": table.plan.tolerance,
         "simulated_seconds": table.plan.interval * table.plan.frames,
-        "reference_dt": table.plan.make_reference(1).dt,
+        "reference_dt": table.plan.make_reference(table.plan.own).dt,
         "reference_error": float("nan") if own.time is None else own.time,
         "mesh_reference_error": float("nan") if own.mesh is None else own.mesh,
     }
@@ -61,7 +62,7 @@ def make_dataset(table: ErrorTable) -> "xarray.Dataset":
 
 def _list_values(name: str, rows: list[SettingRow]) -> list[Any]:
     values = dict.fromkeys(getattr(row.setting, name) for row in rows)
-    return sorted(values) if name in ("refinement", "dt") else list(values)
+    return sorted(values) if name in ("refinement", "order", "dt") else list(values)
 
 
 def _make_coordinate(values: list[Any]) -> np.ndarray:
@@ -69,7 +70,7 @@ def _make_coordinate(values: list[Any]) -> np.ndarray:
 
 
 def _make_attributes(name: str) -> dict[str, str]:
-    units = {"dt": {"units": "s"}, "refinement": {"units": "1"}}.get(name, {})
+    units = {"dt": {"units": "s"}, "refinement": {"units": "1"}, "order": {"units": "1"}}.get(name, {})
     return {"long_name": KNOBS[name], **units}
 
 

@@ -53,10 +53,12 @@ def find_first_mode(body: Body) -> FirstMode | None:
     return FirstMode(body.momentum(modes[0]), float(omegas[0])) if len(omegas) else None
 
 
-def measure_distances(motion: RecordedMotion, reference: RecordedMotion, nodes: Ints | None = None) -> dict[str, float]:
-    """Return the worst and RMS distance over the body's size; `nodes` are the motion's nodes in a finer mesh."""
-    other = reference.u if nodes is None else reference.u[:, nodes]
-    distance = np.linalg.norm(motion.u - other, axis=-1) / motion.mesh.size
+def measure_distances(
+    motion: RecordedMotion, reference: RecordedMotion, nodes: tuple[Ints, Ints] | None = None
+) -> dict[str, float]:
+    """Return the worst and RMS distance over the body's size; `nodes` are those of both that are at one place."""
+    u, other = (motion.u, reference.u) if nodes is None else (motion.u[:, nodes[0]], reference.u[:, nodes[1]])
+    distance = np.linalg.norm(u - other, axis=-1) / motion.mesh.size
     return {"worst_distance": float(distance.max()), "rms_distance": float(np.sqrt(np.mean(distance**2)))}
 
 

@@ -52,7 +52,7 @@ def _draw_costs(axes: "Axes", table: ErrorTable) -> None:
     axes.set_xlabel("solver milliseconds for a simulated second")
     axes.set_ylabel("error: the larger of distance / size, ½ |J − J_ref|")
     axes.axhline(table.plan.tolerance, color=FAINT, lw=1, ls=(0, (4, 3)), zorder=0)
-    mesh = table.find_mesh_error(1)
+    mesh = table.find_mesh_error(table.plan.own)
     if np.isfinite(mesh):
         axes.axhline(mesh, color=_PARTS["mesh"], lw=1.4, zorder=0)
         axes.annotate("the mesh's own error", (0.01, mesh), xycoords=("axes fraction", "data"), fontsize=8, va="bottom")
@@ -101,7 +101,7 @@ def _make_handle(label: str, color: str, marker: str) -> Any:
 def _draw_parts(axes: "Axes", table: ErrorTable) -> None:
     """Draw the parts of the error of each model at the case's own stepper and dt."""
     own = table.plan.case_setting
-    settings = [Setting(1, own.mass, own.stepper, own.dt, *model) for model in MODELS]
+    settings = [Setting(*own.level, own.mass, own.stepper, own.dt, *model) for model in MODELS]
     rows = [row for setting in settings if (row := table.find_row(setting)) is not None and row.failure is None]
     for place, row in enumerate(rows):
         parts = split_error(table, row)

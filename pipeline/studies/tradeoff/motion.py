@@ -15,11 +15,12 @@ from pipeline.arrays import Floats
 from pipeline.case import Case
 from pipeline.errors import SolveError
 from pipeline.linear.work import Work
-from pipeline.mesh.simplex import Mesh, signed_volumes
+from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.problem.problem import Problem, build
 from pipeline.results.variant_run import result_settings
 from pipeline.run.frame import Frame
 from pipeline.run.frame_iterator import frames
+from pipeline.run.measures import measure_cells
 
 COUNTS = ("steps", "solves", "iterations", "factorizations", "rotations")
 _ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")
@@ -121,7 +122,7 @@ def unpack_array(text: str, shape: tuple[int, ...]) -> Floats:
 class RecordedMotion:
     """Displacements and velocities (t, n, d) of a mesh, its total energy (t,) [J], and that without the loads' part."""
 
-    mesh: Mesh
+    mesh: ElementMesh
     u: Floats
     v: Floats
     energy: Floats
@@ -131,7 +132,7 @@ class RecordedMotion:
     def ratios(self) -> Floats:
         """Return the volume ratio of every cell at every instant (t, e)."""
         X = self.mesh.points
-        return np.stack([signed_volumes(X + u, self.mesh.cells) for u in self.u]) / self.mesh.rest_volumes
+        return np.stack([measure_cells(self.mesh, X + u).volumes for u in self.u]) / self.mesh.rest_volumes
 
     @cached_property
     def drift(self) -> Floats:
@@ -140,7 +141,7 @@ class RecordedMotion:
         return np.asarray(self.ratios @ rest / rest.sum() - 1)
 
 
-def read_motion(result: Mapping[str, Any], mesh: Mesh) -> RecordedMotion:
+def read_motion(result: Mapping[str, Any], mesh: ElementMesh) -> RecordedMotion:
     """Return the motion of a result of `run_motion`."""
     shape = tuple(result["shape"])
     kinetic, elastic, potential = (np.array(result[name]) for name in _ENERGIES)

@@ -1,23 +1,21 @@
 """The settings that a trade-off study runs: slices through the knobs of a case, not their product.
 
 On the case's mesh: every model for every implicit stepper at every dt, two smaller steps of the most accurate stepper
-with the main models, explicit steppers below their limit, and the other mass matrix once for each stepper. On finer
+with the main models, explicit steppers below their limit, and the other mass matrix once for each stepper. On other
 meshes: the main models. All runs are compared at the same instants, multiples of the longest dt.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import ceil, prod
+from math import ceil
 from typing import Any
 
-import numpy as np
-
-from pipeline.arrays import Ints
 from pipeline.case import Case
-from pipeline.case.keys import ONLY_VARIANT, MeshSpec
+from pipeline.case.keys import ONLY_VARIANT
 from pipeline.problem.methods import IMPLICIT_STEPPERS, STEP_LIMITS, STEPPERS, find_traits
 from pipeline.problem.problem import build, resolve_mass
 from pipeline.studies.coverage import list_left_out
+from pipeline.studies.tradeoff.levels import MeshLevel, choose_levels, make_mesh_keys
 from pipeline.system.times import TIME_RTOL, count_intervals
 
 # of the reference motion
@@ -41,19 +39,20 @@ QUICK_FACTORS = (1.0, 0.5, 0.25)
 # parts of the smallest step: the reference stepper alone takes these too, and half the last is the reference's
 SMALLER = (0.5, 0.25)
 REFERENCE_PART = 0.125
-_FINE_STEPS = 3  # of the plan's steps, from the case's own down: finer meshes cost eight times as much or more
+_FINE_STEPS = 3  # of the plan's steps, from the case's own down, on other meshes: finer ones cost much more
 _MOST_FRAMES = 50  # compared per run; more would cost memory and hardly change the errors
 _BELOW_LIMIT = 0.9  # of the limit at rest, which falls as the body deforms
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One value of every knob: the mesh's refinement, mass, stepper, dt [s], law, rotation and iterations.
+    """One value of every knob: refinement and order of the mesh, mass, stepper, dt [s], law, rotation, iterations.
 
     law "auto" is model = "auto"; rotation and iterations are "none" if the law has no such knob.
     """
 
-    refinement: int
+    refinement: float
+    order: int
     mass: str
     stepper: str
     dt: float
@@ -64,7 +63,12 @@ class Setting:
     @property
     def key(self) -> str:
         """Return a name that is unique and can name a file."""
-        return f"x{self.refinement}-{self.mass}-{self.stepper}-{self.dt!r}-{self.model}"
+        return f"x{self.refinement:g}-order{self.order}-{self.mass}-{self.stepper}-{self.dt!r}-{self.model}"
+
+    @property
+    def level(self) -> MeshLevel:
+        """Return the mesh."""
+        return MeshLevel(self.refinement, self.order)
 
     @property
     def model(self) -> str:
@@ -81,7 +85,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Plan:
-    """The runs of a case: settings, the interval of the instants compared [s], steps and mesh refinements."""
+    """The runs of a case: settings, the interval of the instants compared [s], steps and meshes."""
 
     case: Case
     settings: tuple[Setting, ...]
@@ -89,22 +93,32 @@ class Plan:
     frames: int
     dt: float
     dts: tuple[float, ...]
-    refinements: tuple[int, ...]
+    levels: tuple[MeshLevel, ...]
     tolerance: float
     notes: tuple[str, ...]
 
     def __repr__(self) -> str:
         counts = f"{len(self.settings)} settings, {self.frames} instants"
-        return f"<Plan of {self.case.name}: {counts}, refinements {self.refinements}>"
+        return f"<Plan of {self.case.name}: {counts}, {len(self.levels)} meshes>"
 
-    def make_reference(self, refinement: int) -> Setting:
+    @property
+    def own(self) -> MeshLevel:
+        """Return the case's own mesh."""
+        return MeshLevel(1.0, self.case.mesh.order)
+
+    @property
+    def finest(self) -> MeshLevel:
+        """Return the most accurate mesh."""
+        return self.levels[-1]
+
+    def make_reference(self, level: MeshLevel) -> Setting:
         """Return the setting whose motion counts as exact on a mesh."""
         dt = self.dts[-1] * REFERENCE_PART
-        return Setting(refinement, self.case.method.mass, REFERENCE_STEPPER, dt, *CONVERGED)
+        return Setting(*level, self.case.method.mass, REFERENCE_STEPPER, dt, *CONVERGED)
 
-    def make_coarser_reference(self, refinement: int) -> Setting:
+    def make_coarser_reference(self, level: MeshLevel) -> Setting:
         """Return the reference at twice its step, from which its own error is estimated."""
-        reference = self.make_reference(refinement)
+        reference = self.make_reference(level)
         return replace(reference, dt=2 * reference.dt)
 
     @property
@@ -114,8 +128,8 @@ class Plan:
         stepper = method.stepper if method.stepper in IMPLICIT_STEPPERS else REFERENCE_STEPPER
         traits = find_traits(method)
         if traits.chooses_model or traits.is_linear:
-            return Setting(1, mass, stepper, self.dt, *(AUTO if traits.chooses_model else LINEAR))
-        setting = Setting(1, mass, stepper, self.dt, method.law, method.rotation, str(method.iterations))
+            return Setting(*self.own, mass, stepper, self.dt, *(AUTO if traits.chooses_model else LINEAR))
+        setting = Setting(*self.own, mass, stepper, self.dt, method.law, method.rotation, str(method.iterations))
         return setting if setting in self.settings else setting.as_converged()
 
 
@@ -124,13 +138,14 @@ def make_plan(
     *,
     tolerance: float = 0.01,
     dts: Sequence[float] = (),
-    refinements: Sequence[int] = (),
+    refinements: Sequence[float] = (),
+    orders: Sequence[int] = (),
     steps: int | None = None,
     quick: bool = False,
 ) -> Plan:
     """Return the plan of a case without its variants, cut to `steps` of its own steps.
 
-    Raises CaseError if steps or refinements do not fit the case.
+    Raises CaseError if steps, refinements or orders do not fit the case.
     """
     build(case.model_copy(update={"variants": {}}).variant(ONLY_VARIANT))  # raises its errors now
     explicit = find_traits(case.method).is_explicit
@@ -146,11 +161,11 @@ def make_plan(
             "schedule.frames", f"{end:g} s is shorter than the longest step of the study, {ladder[0]:g} s"
         )
     stride = ceil(count / _MOST_FRAMES)
-    meshes, notes = _choose_refinements(case, refinements, quick)
+    levels, notes = choose_levels(case, refinements, orders, quick=quick)
     nearest = min(ladder, key=lambda step: abs(step / dt - 1))
     case = case.model_copy(update={"method": case.method.model_copy(update={"inversion": "flip"})})
-    plan = Plan(case, (), stride * ladder[0], count // stride, nearest, ladder, meshes, tolerance, notes)
-    settings = dict.fromkeys(s for refinement in meshes for s in _list_settings(plan, refinement))
+    plan = Plan(case, (), stride * ladder[0], count // stride, nearest, ladder, levels, tolerance, notes)
+    settings = dict.fromkeys(s for level in levels for s in _list_settings(plan, level))
     if left_out := list_left_out(_list_method(plan, setting) for setting in settings):
         notes = (*notes, f"not tried: {', '.join(left_out)}")
     return replace(plan, settings=tuple(settings), notes=notes)
@@ -174,47 +189,27 @@ def _choose_steps(case: Case, requested: Sequence[float], default: Sequence[floa
     return ladder
 
 
-def _choose_refinements(case: Case, requested: Sequence[int], quick: bool) -> tuple[tuple[int, ...], tuple[str, ...]]:
-    """Return the refinements that can be compared, 1 first, and notes if there is no mesh error."""
-    if any(factor < 1 for factor in requested):
-        raise case.make_error("mesh.cells", f"--refine {min(requested)}: factors must be whole numbers, 1 or more")
-    odd = [factor for factor in requested if max(requested) % factor]
-    if odd:
-        raise case.make_error(
-            "mesh.cells", f"--refine {odd[0]} does not divide the largest, {max(requested)}: no common nodes"
-        )
-    reason = None
-    if case.mesh.shape is None:
-        reason = "its mesh is a file, which is not refined here"
-    elif any(region.nodes is not None for region in (*case.supports, *case.loads.traction)):
-        reason = "a selection names nodes, whose numbers differ in a finer mesh"
-    wanted = tuple(sorted({1, *(requested or ((1,) if quick else (1, 2)))}))
-    if reason is None:
-        return wanted, () if len(wanted) > 1 else ("mesh error not available: one mesh only (--refine 2)",)
-    return (1,), (f"mesh error not available: {reason}",)
-
-
-def _list_settings(plan: Plan, refinement: int) -> list[Setting]:
+def _list_settings(plan: Plan, level: MeshLevel) -> list[Setting]:
     """Return the settings of one mesh, the reference first."""
     mass, other = plan.case.method.mass, {"consistent": "lumped", "lumped": "consistent"}[plan.case.method.mass]
-    fine = refinement > 1
-    dts = [dt for dt in plan.dts if dt <= plan.dt][:_FINE_STEPS] if fine else plan.dts
-    out = [plan.make_reference(refinement)]
+    other_mesh = level != plan.own
+    dts = [dt for dt in plan.dts if dt <= plan.dt][:_FINE_STEPS] if other_mesh else plan.dts
+    out = [plan.make_reference(level)]
     for stepper in IMPLICIT_STEPPERS:
-        out += [Setting(refinement, mass, stepper, dt, *m) for dt in dts for m in (FINE_MODELS if fine else MODELS)]
-    smaller = () if fine else [plan.dts[-1] * part for part in SMALLER]
-    out += [Setting(refinement, mass, REFERENCE_STEPPER, dt, *m) for dt in smaller for m in FINE_MODELS]
-    out += [Setting(refinement, other, stepper, plan.dt, *CONVERGED) for stepper in IMPLICIT_STEPPERS]
-    out.append(replace(plan.make_reference(refinement), mass=other, dt=dts[-1]))
+        out += [Setting(*level, mass, stepper, dt, *m) for dt in dts for m in (FINE_MODELS if other_mesh else MODELS)]
+    smaller = () if other_mesh else [plan.dts[-1] * part for part in SMALLER]
+    out += [Setting(*level, mass, REFERENCE_STEPPER, dt, *m) for dt in smaller for m in FINE_MODELS]
+    out += [Setting(*level, other, stepper, plan.dt, *CONVERGED) for stepper in IMPLICIT_STEPPERS]
+    out.append(replace(plan.make_reference(level), mass=other, dt=dts[-1]))
     for stepper in STEP_LIMITS:
-        dt = _choose_explicit_step(plan, refinement, stepper)
-        out += [Setting(refinement, "lumped", stepper, dt / part, "corotational", "polar", "1") for part in (1, 2)]
+        dt = _choose_explicit_step(plan, level, stepper)
+        out += [Setting(*level, "lumped", stepper, dt / part, "corotational", "polar", "1") for part in (1, 2)]
     return out
 
 
-def _choose_explicit_step(plan: Plan, refinement: int, stepper: str) -> float:
+def _choose_explicit_step(plan: Plan, level: MeshLevel, stepper: str) -> float:
     """Return the longest step [s] below a stepper's limit that divides the interval of the instants."""
-    body = build(make_point_case(plan, plan.make_reference(refinement))).body
+    body = build(make_point_case(plan, plan.make_reference(level))).body
     bound, _ = STEP_LIMITS[stepper]
     return plan.interval / ceil(plan.interval / (_BELOW_LIMIT * bound(body)))
 
@@ -230,7 +225,7 @@ def make_overrides(plan: Plan, setting: Setting) -> dict[str, Any]:
     """Return the setting as a variant's overrides, with a frame at each instant of the plan."""
     steps = round(plan.interval / setting.dt)
     schedule = {"dt": plan.interval / steps, "steps_per_frame": steps, "frames": plan.frames}
-    return make_method_keys(plan, setting) | make_mesh_keys(plan, setting) | {"schedule": schedule}
+    return make_method_keys(plan, setting) | make_mesh_keys(plan.case, setting.level) | {"schedule": schedule}
 
 
 def make_method_keys(plan: Plan, setting: Setting) -> dict[str, Any]:
@@ -244,19 +239,3 @@ def make_method_keys(plan: Plan, setting: Setting) -> dict[str, Any]:
         keys["method.rotation"] = setting.rotation
         keys["method.iterations"] = int(passes) if passes.isdigit() else passes
     return keys
-
-
-def make_mesh_keys(plan: Plan, setting: Setting) -> dict[str, Any]:
-    """Return the mesh key of a setting; none for the case's own mesh."""
-    mesh: MeshSpec = plan.case.mesh
-    if setting.refinement == 1 or mesh.cells is None:
-        return {}
-    return {"mesh.cells": [setting.refinement * count for count in mesh.cells]}
-
-
-def find_coarse_nodes(cells: Sequence[int], factor: int) -> Ints:
-    """Return the number of every node of a grid of cells in the grid refined by an integer factor (n,)."""
-    coarse = np.stack(np.meshgrid(*[np.arange(c + 1) for c in cells], indexing="ij"), axis=-1)
-    counts = tuple(factor * c + 1 for c in cells)
-    numbers = np.ravel_multi_index(tuple(np.moveaxis(factor * coarse, -1, 0)), counts)
-    return numbers.reshape(prod(c + 1 for c in cells)).astype(np.int64)

@@ -20,6 +20,8 @@ from pipeline.studies.tradeoff.dataset import make_dataset
 from pipeline.studies.tradeoff.front_figure import write_front_figure
 from pipeline.studies.tradeoff.mode_steps import find_steps_per_period
 from pipeline.studies.tradeoff.motion import make_task_settings, run_motion, run_race
+from pipeline.studies.tradeoff.order_figure import write_order_figure
+from pipeline.studies.tradeoff.orders import describe_orders, find_order_costs
 from pipeline.studies.tradeoff.settings import LINEAR, REFERENCE_STEPPER, Plan, Setting, make_point_case
 from pipeline.studies.tradeoff.table import ErrorTable
 from pipeline.studies.tradeoff.verdict import (
@@ -66,7 +68,7 @@ def study_tradeoff(
     write_variant: bool = False,
     on_point: Callable[[Point, int, int], None] | None = None,
 ) -> Tradeoff:
-    """Return the costs and errors of a plan's settings, after writing tradeoff.nc, tradeoff.png and summary.json.
+    """Return the costs and errors of a plan's settings, after writing tradeoff.nc, summary.json and figures.
 
     Settings run one at a time; `scheduler` names an existing dask scheduler. Raises SolveError if the reference fails,
     CaseError if the choice cannot be written to the case, OutputError if a file cannot be written.
@@ -84,12 +86,15 @@ def study_tradeoff(
     table = ErrorTable(plan, {key: results[key] for key in points})
     mode = {stepper: results[f"first-mode-{stepper}"] for stepper in IMPLICIT_STEPPERS}
     verdicts = _race_verdicts(plan, judge_auto(table), target, scheduler)
-    files = tuple(target / name for name in ("tradeoff.nc", "tradeoff.png", "summary.json"))
+    files = [target / name for name in ("tradeoff.nc", "summary.json", "tradeoff.png")]
     write_dataset(make_dataset(table), files[0])
-    write_front_figure(table, files[1])
+    write_front_figure(table, files[2])
+    if find_order_costs(table, plan.tolerance):
+        files.append(target / "orders.png")
+        write_order_figure([table], files[-1])
     sentence = describe_choice(table)
     summary = to_json(_make_summary(table, mode, verdicts) | {"sentence": sentence})
-    write_whole(files[2], json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    write_whole(files[1], json.dumps(summary, indent=2, allow_nan=False) + "\n")
     notes = list(plan.notes)
     if write_variant:
         notes.append(_apply_choice(table, sentence))
@@ -98,7 +103,7 @@ def study_tradeoff(
         summary,
         sentence,
         (*_list_lines(table, summary, find_worst_auto(verdicts)), *(f"note: {note}" for note in notes)),
-        files,
+        tuple(files),
     )
 
 
@@ -111,7 +116,7 @@ def _run_task(settings: Any) -> dict[str, Any]:
 
 def _make_point(plan: Plan, setting: Setting, repeats: int) -> Point:
     case = make_point_case(plan, setting)
-    is_reference = setting in {plan.make_reference(r) for r in plan.refinements}
+    is_reference = setting in {plan.make_reference(level) for level in plan.levels}
     return Point(setting.key, make_task_settings(case, 1 if is_reference else repeats))
 
 
@@ -119,7 +124,7 @@ def _make_mode_points(plan: Plan) -> list[Point]:
     """Return the points that count the steps of each implicit stepper for the first mode of the linear body."""
     points = []
     for stepper in IMPLICIT_STEPPERS:
-        case: Case = make_point_case(plan, Setting(1, plan.case.method.mass, stepper, plan.dt, *LINEAR))
+        case: Case = make_point_case(plan, Setting(*plan.own, plan.case.method.mass, stepper, plan.dt, *LINEAR))
         points.append(Point(f"first-mode-{stepper}", make_task_settings(case, 1) | {"tolerance": MODE_TOLERANCE}))
     return points
 
@@ -142,7 +147,7 @@ def _make_summary(table: ErrorTable, mode: dict[str, dict[str, Any]], verdicts: 
     plan, rows = table.plan, list_choosable(table)
     own = table.find_row(plan.case_setting)
     chosen = find_cheapest(rows, plan.tolerance)
-    all_meshes = list_choosable(table, None)
+    all_meshes = list_choosable(table, plan.levels)
     parts = split_error(table, own) if own is not None else None
     counts = {stepper: result.get("steps") for stepper, result in mode.items()}
     slow, fast = counts[_LEAST_ACCURATE], counts[REFERENCE_STEPPER]
@@ -152,13 +157,14 @@ def _make_summary(table: ErrorTable, mode: dict[str, dict[str, Any]], verdicts: 
         "tolerance": plan.tolerance,
         "simulated_seconds": plan.interval * plan.frames,
         "reference": {
-            "setting": asdict(plan.make_reference(plan.refinements[-1])),
+            "setting": asdict(plan.make_reference(plan.finest)),
             **asdict(table.estimate_reference_errors()),
         },
         "choice": row_to_dict(chosen),
         "choice_for_a_tenth": row_to_dict(find_cheapest(rows, plan.tolerance / 10)),
         "choice_with_the_mesh": row_to_dict(find_cheapest(all_meshes, plan.tolerance, "total")),
         "front": [row_to_dict(row) for row in find_front(rows)],
+        "orders": [asdict(cost) for cost in find_order_costs(table, plan.tolerance)],
         "own": row_to_dict(own),
         "own_error_parts": None if parts is None else asdict(parts) | {"dominant": parts.dominant},
         "auto": [asdict(verdict) for verdict in verdicts],
@@ -180,17 +186,16 @@ def _list_lines(table: ErrorTable, summary: dict[str, Any], worst: AutoVerdict |
     plan, parts = table.plan, summary["own_error_parts"]
     reference = table.estimate_reference_errors()
     order = "" if reference.order is None else f", order {reference.order:.2f}"
-    step = f"dt = {plan.make_reference(1).dt:.3g} s"
+    step = f"dt = {plan.make_reference(plan.own).dt:.3g} s"
     error = f"its own error is about {_format_error(reference.time)}{order}"
     lines = [f"reference: {REFERENCE_STEPPER}, converged, {step}; {error}"]
     if reference.mesh is not None:
-        lines.append(
-            f"finest mesh: cells x {plan.refinements[-1]}; its own error is about {_format_error(reference.mesh)}, "
-            "if errors fall with the square of the cell size"
-        )
+        lines.append(f"finest mesh: {plan.finest}; its own error is about {_format_error(reference.mesh)}")
     if parts is not None:
         text = ", ".join(f"{name} {_format_error(parts[name])}" for name in ("model", "dt", "mesh"))
         lines.append(f"the case as it is: {text}; {parts['dominant']} dominates")
+    if costs := find_order_costs(table, plan.tolerance):
+        lines.append(describe_orders(costs, plan.tolerance))
     lines += _list_bar_lines(summary, worst)
     if summary["failed"]:
         lines.append(f"{len(summary['failed'])} of {len(table.rows)} settings failed: see summary.json")

@@ -3,6 +3,8 @@
 model    from the converged solution with the same stepper, dt, mesh and mass: the error of law and iterations
 motion   from the converged solution of a small step on the same mesh: that error and those of stepper, dt and mass
 total    from that reference on the finest mesh, at the common nodes: those errors and that of the mesh
+
+The finest mesh has an error of its own, estimated from how references on coarser meshes of its order approach it.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.arrays import Ints
 from pipeline.errors import SolveError
 from pipeline.linear.work import Work
-from pipeline.mesh.simplex import Mesh, require_simplices
+from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.problem.methods import STEPPERS
 from pipeline.problem.problem import build, build_mesh
 from pipeline.studies.tradeoff.deviation import (
@@ -27,8 +28,9 @@ from pipeline.studies.tradeoff.deviation import (
     measure_deviation,
     measure_distances,
 )
+from pipeline.studies.tradeoff.levels import MeshLevel, match_nodes
 from pipeline.studies.tradeoff.motion import COUNTS, RecordedMotion, read_motion
-from pipeline.studies.tradeoff.settings import REFERENCE_STEPPER, Plan, Setting, find_coarse_nodes, make_point_case
+from pipeline.studies.tradeoff.settings import REFERENCE_STEPPER, Plan, Setting, make_point_case
 
 REFERENCES = ("model", "motion", "total")
 
@@ -81,12 +83,13 @@ class ErrorTable:
         self.plan = plan
         self._results = results
         self._motion: Callable[[Setting], RecordedMotion | None] = lru_cache(maxsize=64)(self._read)
-        self._meshes = {r: self._build_mesh(r) for r in plan.refinements}
-        self._modes = {r: self._find_mode(r) for r in plan.refinements}
-        for refinement in plan.refinements:
-            if self._motion(plan.make_reference(refinement)) is None:
-                reason = results[plan.make_reference(refinement).key].get("error")
-                raise SolveError(f"{plan.case.path}: no reference on mesh x{refinement}: {reason}")
+        self._meshes = {level: self._build_mesh(level) for level in plan.levels}
+        self._modes = {level: self._find_mode(level) for level in plan.levels}
+        self._nodes = {level: match_nodes(mesh, self._meshes[plan.finest]) for level, mesh in self._meshes.items()}
+        for level in plan.levels:
+            if self._motion(plan.make_reference(level)) is None:
+                reason = results[plan.make_reference(level).key].get("error")
+                raise SolveError(f"{plan.case.path}: no reference with {level}: {reason}")
         self.rows = [self._make_row(setting) for setting in plan.settings]
 
     def find_row(self, setting: Setting) -> SettingRow | None:
@@ -96,11 +99,11 @@ class ErrorTable:
     def estimate_reference_errors(self) -> ReferenceErrors:
         """Return the errors of the references, from their change with step and mesh (Richardson)."""
         plan = self.plan
-        fine, before = self._motion(plan.make_reference(1)), self._motion(plan.make_coarser_reference(1))
+        fine, before = self._motion(plan.make_reference(plan.own)), self._motion(plan.make_coarser_reference(plan.own))
         if fine is None or before is None:
             return ReferenceErrors(None, None, self._estimate_mesh_error())
         halved = combine_error(measure_deviation(before, fine, None))
-        last = self._motion(replace(plan.make_reference(1), dt=4 * plan.make_reference(1).dt))
+        last = self._motion(replace(plan.make_reference(plan.own), dt=4 * plan.make_reference(plan.own).dt))
         order = None
         if last is not None and halved > 0:
             order = float(np.log2(combine_error(measure_deviation(last, before, None)) / halved))
@@ -109,10 +112,10 @@ class ErrorTable:
         # the sum of the remaining changes, a geometric series
         return ReferenceErrors(halved / (2**observed - 1), order, self._estimate_mesh_error())
 
-    def find_mesh_error(self, refinement: int) -> float:
+    def find_mesh_error(self, level: MeshLevel) -> float:
         """Return the distance of the reference on a mesh from that on the finest; NaN if there is only one mesh."""
-        row = self.find_row(self.plan.make_reference(refinement))
-        return row.compute_error("total") if row and len(self.plan.refinements) > 1 else float("nan")
+        row = self.find_row(self.plan.make_reference(level))
+        return row.compute_error("total") if row and len(self.plan.levels) > 1 else float("nan")
 
     def find_time_error(self, setting: Setting) -> float:
         """Return the distance of a setting's stepper and dt, converged, from the reference; NaN if it was not run."""
@@ -120,21 +123,30 @@ class ErrorTable:
         return row.compute_error("motion") if row else float("nan")
 
     def _estimate_mesh_error(self) -> float | None:
-        """Return the error of the finest mesh, if errors fall with the square of the cells' size."""
-        last = self.plan.refinements[-2:]
-        if len(last) < 2:
+        """Return the error of the finest mesh, from coarser meshes of its order whose cells are 2 and 4 times as large.
+
+        Distances from the finest mesh give the observed rate of convergence; with one coarser mesh it is assumed to be
+        the order, which is what bodies with edges at supports reach.
+        """
+        finest = self.plan.finest
+        distances = [self.find_mesh_error(MeshLevel(finest.refinement / part, finest.order)) for part in (2, 4)]
+        if not np.isfinite(distances[0]):
             return None
-        return self.find_mesh_error(last[0]) / ((last[1] / last[0]) ** 2 - 1)
+        ratio = 2.0**finest.order
+        if np.isfinite(distances[1]) and distances[0] > 0:
+            # with errors e, e ratio and e ratio^2 these distances are e (ratio - 1) and e (ratio^2 - 1)
+            ratio = float(np.clip(distances[1] / distances[0] - 1, 2**_LEAST_ORDER, 2.0 ** (finest.order + 1)))
+        return distances[0] / (ratio - 1)
 
     def _read(self, setting: Setting) -> RecordedMotion | None:
         result = self._results.get(setting.key, {"error": "not run"})
-        return None if "error" in result else read_motion(result, self._meshes[setting.refinement])
+        return None if "error" in result else read_motion(result, self._meshes[setting.level])
 
-    def _build_mesh(self, refinement: int) -> Mesh:
-        return require_simplices(build_mesh(make_point_case(self.plan, self.plan.make_reference(refinement))))
+    def _build_mesh(self, level: MeshLevel) -> ElementMesh:
+        return build_mesh(make_point_case(self.plan, self.plan.make_reference(level)))
 
-    def _find_mode(self, refinement: int) -> FirstMode | None:
-        return find_first_mode(build(make_point_case(self.plan, self.plan.make_reference(refinement))).body)
+    def _find_mode(self, level: MeshLevel) -> FirstMode | None:
+        return find_first_mode(build(make_point_case(self.plan, self.plan.make_reference(level))).body)
 
     def _make_row(self, setting: Setting) -> SettingRow:
         result = self._results[setting.key]
@@ -142,25 +154,19 @@ class ErrorTable:
             return SettingRow(setting, failure=str(result["error"]))
         motion = self._motion(setting)
         assert motion is not None
-        mode = self._modes[setting.refinement]
+        mode = self._modes[setting.level]
         deviations: dict[str, float] = {}
         converged = self._motion(setting.as_converged()) if STEPPERS[setting.stepper].is_implicit else None
-        reference = self._motion(self.plan.make_reference(setting.refinement))
+        reference = self._motion(self.plan.make_reference(setting.level))
         for name, other in (("model", converged), ("motion", reference)):
             if other is not None:
                 measures = measure_deviation(motion, other, mode)
                 deviations |= {f"{name}_{key}": value for key, value in measures.items()}
-        finest = self._motion(self.plan.make_reference(self.plan.refinements[-1]))
-        if finest is not None and len(self.plan.refinements) > 1:
-            nodes = self._find_nodes(setting.refinement)
-            measures = measure_distances(motion, finest, nodes)
+        finest = self._motion(self.plan.make_reference(self.plan.finest))
+        if finest is not None and len(self.plan.levels) > 1:
+            measures = measure_distances(motion, finest, self._nodes[setting.level])
             deviations |= {f"total_{key}": value for key, value in measures.items()}
         return SettingRow(setting, self._list_costs(result), deviations)
-
-    def _find_nodes(self, refinement: int) -> Ints:
-        cells = self.plan.case.mesh.cells
-        assert cells is not None
-        return find_coarse_nodes([refinement * c for c in cells], self.plan.refinements[-1] // refinement)
 
     def _list_costs(self, result: Mapping[str, Any]) -> dict[str, float]:
         work = Work(**result["work"])

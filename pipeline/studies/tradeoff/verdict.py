@@ -7,6 +7,7 @@ from typing import Any
 
 from pipeline.problem.methods import STEPPERS
 from pipeline.studies.tradeoff.deviation import VOLUME_SHARE
+from pipeline.studies.tradeoff.levels import MeshLevel
 from pipeline.studies.tradeoff.settings import AUTO, Setting
 from pipeline.studies.tradeoff.table import ErrorTable, SettingRow
 
@@ -74,18 +75,18 @@ def find_cheapest(rows: Iterable[SettingRow], tolerance: float, reference: str =
     )
 
 
-def list_choosable(table: ErrorTable, refinement: int | None = 1) -> list[SettingRow]:
-    """Return the rows to choose from: those of a mesh (None: of any) without the references."""
+def list_choosable(table: ErrorTable, levels: Sequence[MeshLevel] | None = None) -> list[SettingRow]:
+    """Return the rows to choose from: those of some meshes (None: of the case's own) without the references."""
     plan = table.plan
-    references = {plan.make_reference(r) for r in plan.refinements}
-    rows = [row for row in table.rows if row.setting not in references]
-    return [row for row in rows if refinement in (None, row.setting.refinement)]
+    references = {plan.make_reference(level) for level in plan.levels}
+    chosen = (plan.own,) if levels is None else levels
+    return [row for row in table.rows if row.setting not in references and row.setting.level in chosen]
 
 
 def split_error(table: ErrorTable, row: SettingRow) -> ErrorParts:
     """Return the parts of a row's error: those of its model, of its stepper and dt, and of its mesh."""
     return ErrorParts(
-        row.compute_error("model"), table.find_time_error(row.setting), table.find_mesh_error(row.setting.refinement)
+        row.compute_error("model"), table.find_time_error(row.setting), table.find_mesh_error(row.setting.level)
     )
 
 
@@ -115,8 +116,8 @@ def judge_auto(table: ErrorTable) -> list[AutoVerdict]:
 
 
 def _are_comparable(setting: Setting, other: Setting) -> bool:
-    return (setting.refinement, setting.mass, setting.stepper, setting.dt) == (
-        other.refinement, other.mass, other.stepper, other.dt,
+    return (setting.level, setting.mass, setting.stepper, setting.dt) == (
+        other.level, other.mass, other.stepper, other.dt,
     )  # fmt: skip
 
 
@@ -147,9 +148,9 @@ def describe_choice(table: ErrorTable) -> str:
             text += f"{format_percent(tolerance / 10)} costs {more} ({describe_setting(tighter.setting)})"
     if reference_error > tolerance / 10:
         text += f"; the reference itself has an error of {format_percent(reference_error)}: try smaller steps (--dt)"
-    mesh = table.find_mesh_error(1)
+    mesh = table.find_mesh_error(plan.own)
     if isfinite(mesh):
-        text += f"; the mesh itself differs by {format_percent(mesh)} from cells x {plan.refinements[-1]}"
+        text += f"; the mesh itself differs by {format_percent(mesh)} from {plan.finest}"
     return f"{plan.case.name}: {text}"
 
 
@@ -178,8 +179,8 @@ def describe_setting(setting: Setting) -> str:
         if not STEPPERS[setting.stepper].is_implicit:
             solves = "explicit"
         model = f"{setting.rotation.replace('_', '-')}, {solves}"
-    mesh = f", cells x {setting.refinement}" if setting.refinement > 1 else ""
-    return f"{setting.stepper}, {model}, {setting.mass} mass, dt = {setting.dt:.4g} s{mesh}"
+    mesh = f"cells x {setting.refinement:g}, " if setting.refinement != 1 else ""
+    return f"{setting.stepper}, {model}, {setting.mass} mass, {mesh}order {setting.order}, dt = {setting.dt:.4g} s"
 
 
 def row_to_dict(row: SettingRow | None) -> dict[str, Any] | None:

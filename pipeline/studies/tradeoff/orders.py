@@ -1,0 +1,74 @@
+"""Elements of order 1 and 2 compared: the cost at which each reaches a total error, measured or extrapolated."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import exp, isfinite, log
+
+from pipeline.studies.tradeoff.levels import ORDERS
+from pipeline.studies.tradeoff.settings import Setting
+from pipeline.studies.tradeoff.table import ErrorTable, SettingRow
+from pipeline.studies.tradeoff.verdict import describe_setting, find_cheapest, format_percent, list_choosable
+
+_LEAST_RATE = 0.1  # of log error over log cost: slower convergence says nothing about finer meshes
+
+
+@dataclass(frozen=True)
+class OrderCost:
+    """The solver seconds at which an order reaches the tolerance; infinite if that cannot be told.
+
+    `setting` was measured; it is None if finer meshes are needed than were run: then the seconds are extrapolated.
+    """
+
+    order: int
+    seconds: float
+    setting: Setting | None
+
+
+def find_order_costs(table: ErrorTable, tolerance: float) -> list[OrderCost]:
+    """Return the cost of every order that the study has; none if it has only one."""
+    orders = [order for order in ORDERS if any(level.order == order for level in table.plan.levels)]
+    return [_find_cost(table, order, tolerance) for order in orders] if len(orders) > 1 else []
+
+
+def _find_cost(table: ErrorTable, order: int, tolerance: float) -> OrderCost:
+    levels = [level for level in table.plan.levels if level.order == order]
+    rows = list_choosable(table, levels)
+    best = find_cheapest(rows, tolerance, "total")
+    if best is not None:
+        return OrderCost(order, best.costs["seconds"], best.setting)
+    points = []
+    for level in levels:
+        row = find_cheapest([row for row in rows if row.setting.level == level], tolerance)
+        if row is not None:
+            points.append((table.find_mesh_error(level), row.costs["seconds"]))
+    return OrderCost(order, _extrapolate(points[-2:], tolerance), None)
+
+
+def _extrapolate(points: Sequence[tuple[float, float]], tolerance: float) -> float:
+    """Return the seconds at which the mesh's error falls to the tolerance along the line through two meshes."""
+    if len(points) < 2:
+        return float("inf")
+    (coarse, cheap), (fine, dear) = points
+    if not (isfinite(coarse) and fine > 0 and dear > cheap):
+        return float("inf")
+    rate = log(coarse / fine) / log(dear / cheap)
+    return dear * exp(log(fine / tolerance) / rate) if rate > _LEAST_RATE else float("inf")
+
+
+def describe_orders(costs: Sequence[OrderCost], tolerance: float) -> str:
+    """Return one sentence on the cost of order 1 over that of order 2."""
+    first, second = costs
+    goal = format_percent(tolerance)
+    if second.setting is None or not isfinite(first.seconds):
+        missing = [f"order {cost.order}" for cost in costs if cost.setting is None]
+        return f"orders: {goal} in total is not reached by {' and '.join(missing)}, nor can the cost be extrapolated"
+    how = "measured" if first.setting is not None else "extrapolated: it needs finer meshes than were run"
+    return (
+        f"orders: {goal} in total costs {first.seconds / second.seconds:.3g} times as much with order 1 ({how}) as "
+        f"with order 2 ({describe_setting(second.setting)})"
+    )
+
+
+def list_order_front(table: ErrorTable, order: int) -> list[SettingRow]:
+    """Return the rows of an order from which a front of total error is drawn."""
+    return list_choosable(table, [level for level in table.plan.levels if level.order == order])
