@@ -42,6 +42,9 @@ def choose_levels(
     for factor in refinements:
         if reason := _find_obstacle(case, factor):
             raise case.make_error("mesh.cells" if case.mesh.shape else "mesh.file", f"--refine {factor:g}: {reason}")
+        if (max(refinements) / factor) % 1:
+            largest = f"{max(refinements):g}"
+            raise case.make_error("mesh.cells", f"--refine {factor:g} does not divide {largest}: no common nodes")
     if any(region.nodes is not None for region in (*case.supports, *case.loads.traction)):
         reason = "a selection names nodes, whose numbers differ in a finer mesh"
         return (own,), (f"mesh error not available: {reason}",)

@@ -203,7 +203,8 @@ def _list_settings(plan: Plan, level: MeshLevel) -> list[Setting]:
     out.append(replace(plan.make_reference(level), mass=other, dt=dts[-1]))
     for stepper in STEP_LIMITS:
         dt = _choose_explicit_step(plan, level, stepper)
-        out += [Setting(*level, "lumped", stepper, dt / part, "corotational", "polar", "1") for part in (1, 2)]
+        parts = (1,) if other_mesh else (1, 2)
+        out += [Setting(*level, "lumped", stepper, dt / part, "corotational", "polar", "1") for part in parts]
     return out
 
 
