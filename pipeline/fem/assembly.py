@@ -116,8 +116,11 @@ def sort_corners(mesh: ElementMesh, order: Ints) -> Ints:
     return np.argsort(np.argsort(order)[mesh.cells], axis=1)
 
 
-def assemble_pattern(mesh: ElementMesh, order: Ints | None = None) -> Assembly:
-    """Return the assembly of a mesh; row k belongs to node order[k], by default to node k."""
+def assemble_pattern(mesh: ElementMesh, order: Ints | None = None, patches: Ints | None = None) -> Assembly:
+    """Return the assembly of a mesh; row k belongs to node order[k], by default to node k.
+
+    The pattern has blocks for all pairs of nodes of a cell, and of a patch (g, m) if there are any.
+    """
     n = len(mesh.points)
     order = np.arange(n) if order is None else order
     corners = sort_corners(mesh, order)
@@ -125,7 +128,24 @@ def assemble_pattern(mesh: ElementMesh, order: Ints | None = None) -> Assembly:
     a, b = np.tril_indices(cells.shape[1])
     keys = (cells[:, a] * n + cells[:, b]).ravel()
     # a node without cells has a zero block on the diagonal too
-    blocks, pairs = np.unique(np.concatenate([keys, np.arange(n) * (n + 1)]), return_inverse=True)
+    more = [np.arange(n) * (n + 1)] if patches is None else [np.arange(n) * (n + 1), _number_pairs(patches, order)[1]]
+    blocks, pairs = np.unique(np.concatenate([keys, *more]), return_inverse=True)
     indptr = np.concatenate([[0], np.cumsum(np.bincount(blocks // n, minlength=n))])
     pattern = BlockPattern(indptr, blocks % n, mesh.dimension, order)
     return Assembly(pattern, corners, pairs[: len(keys)].reshape(len(cells), -1))
+
+
+def locate_patches(pattern: BlockPattern, patches: Ints) -> Assembly:
+    """Return the map from patches (g, m) into a pattern that has their blocks, as that from cells."""
+    corners, keys = _number_pairs(patches, pattern.order)
+    blocks = pattern.rows * pattern.nodes + pattern.indices
+    return Assembly(pattern, corners, np.searchsorted(blocks, keys).reshape(len(patches), -1))
+
+
+def _number_pairs(patches: Ints, order: Ints) -> tuple[Ints, Ints]:
+    """Return the nodes of patches (g, m) sorted by row, and the number row n + column of each of their blocks."""
+    rows = np.argsort(order)[patches]
+    corners = np.argsort(rows, axis=1, kind="stable")
+    rows = np.take_along_axis(rows, corners, axis=1)
+    a, b = np.tril_indices(rows.shape[1])
+    return corners, (rows[:, a] * len(order) + rows[:, b]).ravel()

@@ -7,8 +7,8 @@ Body sums over integration points with numpy, for every law; compiled_body.py do
 Rotations are found at sites: at every integration point, or once per element from its mean F. The latter is cheaper in
 elements of order 2, but not accurate if they bend much, and has no potential. Linear simplices have one site each.
 
-With a mean dilatation the trace of the strain, in the part of W with lam, is replaced by its mean over the element: an
-element of order 2 then does not lock as lam -> infinity (poisson_ratio -> 1/2).
+With a mean dilatation (dilatation.py) the trace of the strain, in the part of W with lam, is replaced by its mean over
+a group of elements, which then do not lock as lam -> infinity (poisson_ratio -> 1/2).
 """
 
 from collections.abc import Callable
@@ -20,10 +20,9 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
+from pipeline.fem.dilatation import Groups, average_over_groups, find_dilatation_blocks, group_elements
 from pipeline.fem.element import (
-    cell_means,
     deformation_gradient,
-    mean_dilatation_blocks,
     mean_gradient,
     nodal_forces,
     nodal_sums,
@@ -81,7 +80,18 @@ class Body:
     @cached_property
     def assembly(self) -> Assembly:
         """Return the block pattern of all nodes, free ones first, and the map from cells into it."""
-        return assemble_pattern(self.mesh, self.order)
+        patches = None if self.groups is None or self.mesh.order > 1 else self.groups.nodes  # if not elements
+        return assemble_pattern(self.mesh, self.order, patches)
+
+    @cached_property
+    def groups(self) -> Groups | None:
+        """Return the groups of elements that share a dilatation, None if each point has its own."""
+        return group_elements(self.mesh, self.material.lam) if self.formulation.volumetric == "mean" else None
+
+    @cached_property
+    def _group_assembly(self) -> Assembly | None:
+        """Return the map from groups into the pattern."""
+        return None if self.groups is None else self.groups.assemble(self.pattern)
 
     @property
     def pattern(self) -> BlockPattern:
@@ -203,10 +213,10 @@ class Body:
         return R if len(R) == points else np.repeat(R, points // len(R), axis=0)
 
     def _find_dilatation(self, F: Floats, R: Floats) -> Floats | None:
-        """Return the mean dilatation of every point's element (p,), None if each point has its own."""
-        return (
-            cell_means(self.mesh, self.law.measure_dilatation(F, R)) if self.formulation.volumetric == "mean" else None
-        )
+        """Return the mean dilatation of every point's group (p,), None if each point has its own."""
+        if self.groups is None:
+            return None
+        return average_over_groups(self.mesh, self.groups, self.law.measure_dilatation(F, R))
 
     def nodal_rotations(self, x: Floats, out: Floats | None = None) -> Floats:
         """Return for each node the polar rotation of the mean F of its elements (n, d, d)."""
@@ -253,7 +263,9 @@ class Body:
 
     def measure_frame_error(self, x: Floats, used: Floats | None, reached: Floats) -> FrameError:
         """Write the rotations at x into reached (s, d, d); return their frame error from those used (None: I)."""
-        return measure_frame_error(self.law, self.site_gradients(x), used, reached)
+        if self.site_count < self.mesh.integration.weights.size:
+            return measure_frame_error(self.law, self.site_gradients(x), used, reached)
+        return measure_frame_error(self.law, self.site_gradients(x), used, reached, self._find_dilatation)
 
     def bound_frame_error(self, x: Floats) -> float:
         """Return an upper bound on the indicator of measure_frame_error(x, None) that needs no rotations.
@@ -281,11 +293,9 @@ class Body:
         """Write the elastic forces into f (n, d) and add scale * K to A (blocks, d, d)."""
         F = deformation_gradient(self.mesh, x)
         R = self._spread(self.rotations(x) if R is None else R)
-        f[:] = nodal_forces(self.mesh, self.law.stress(F, R, self._find_dilatation(F, R)))
-        A += scale * self.assembly.sum_blocks(self.cell_stiffness(F, R, kind))
-
-    def cell_stiffness(self, F: Floats, R: Floats, kind: Tangent = "frozen") -> Floats:
-        """Return the stiffness of every element (e, k, d, k, d) [N/m] at F and R (p, d, d)."""
         dilatation = self._find_dilatation(F, R)
-        blocks = stiffness_blocks(self.mesh, self.law.tangent(F, R, kind, dilatation))
-        return blocks if dilatation is None else blocks + mean_dilatation_blocks(self.mesh, R, self.material.lam)
+        f[:] = nodal_forces(self.mesh, self.law.stress(F, R, dilatation))
+        A += scale * self.assembly.sum_blocks(stiffness_blocks(self.mesh, self.law.tangent(F, R, kind, dilatation)))
+        if self.groups is not None and self._group_assembly is not None:
+            blocks = find_dilatation_blocks(self.mesh, self.groups, R, self.material.lam)
+            A += scale * self._group_assembly.sum_blocks(blocks)

@@ -288,7 +288,7 @@ def make_body(
     kind = Body
     has_kernels = load_kernels(mesh.order, mesh.dimension) is not None
     if mesh.order == 1 and formulation.volumetric == "mean":
-        has_kernels = False
+        has_kernels = False  # those of order 1 know no groups of cells
     if has_kernels and find_rotation_number(law) is not None:
         kind = LinearBody if isinstance(law, Linear) else CompiledBody
     return kind(mesh, law, supports, load, mass_model, varying_load, formulation)

@@ -35,24 +35,6 @@ def nodal_forces(mesh: ElementMesh, P: Floats) -> Floats:
     return nodal_sums(mesh, (-weights[:, :, None, None] * (G @ np.swapaxes(P, 2, 3))).sum(axis=1))
 
 
-def cell_means(mesh: ElementMesh, values: Floats) -> Floats:
-    """Return the means over their element, weighted by volume, of values at the points (p,), at the points (p,)."""
-    w = mesh.integration.weights
-    means = (w * values.reshape(w.shape)).sum(axis=1) / w.sum(axis=1)
-    return np.repeat(means, w.shape[1])
-
-
-def mean_dilatation_blocks(mesh: ElementMesh, R: Floats, lam: float) -> Floats:
-    """Return the stiffness lam/V g_a (x) g_b (e, k, d, k, d) of a mean dilatation, g_a = sum w R grad N_a.
-
-    R (p, d, d) are the rotations at the points: the dilatation changes by sum_a g_a . du_a / V.
-    """
-    weights, gradients = mesh.integration
-    R = R.reshape(*weights.shape, *R.shape[1:])
-    g = (weights[:, :, None, None] * (gradients @ np.swapaxes(R, 2, 3))).sum(axis=1)
-    return (lam / weights.sum(axis=1))[:, None, None, None, None] * (g[:, :, :, None, None] * g[:, None, None])
-
-
 def stiffness_blocks(mesh: ElementMesh, C: Floats) -> Floats:
     """Return K_e (e, k, d, k, d) [N/m] of the tangents C_iJkL = dP_iJ/dF_kL (p, d, d, d, d) [Pa]."""
     weights, gradients = mesh.integration

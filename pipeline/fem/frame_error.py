@@ -7,6 +7,7 @@ In an unstrained cell the two are about equal; in a strained cell that rotates t
 The indicator is the larger of the two in the worst cell. The weight w is 4/3 in space and 8/3 in the plane.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -38,16 +39,22 @@ def indicator(trace: float, d: int, stress: float, material: Material) -> float:
     return max(spurious_volume(trace, d), _WEIGHT[d] * stress / (2 * material.mu + material.lam))
 
 
-def measure_frame_error(law: Law, F: Floats, used: Floats | None, reached: Floats) -> FrameError:
+def measure_frame_error(
+    law: Law,
+    F: Floats,
+    used: Floats | None,
+    reached: Floats,
+    find_dilatation: Callable[[Floats, Floats], Floats | None] = lambda F, R: None,
+) -> FrameError:
     """Write the rotations of the gradients F (e, d, d) into reached; return their error against those used.
 
-    `used` = None means identities.
+    `used` = None means identities. find_dilatation(F, R) returns the law's mean dilatations (e,), None for its own.
     """
     d = F.shape[-1]
     U = np.broadcast_to(np.eye(d) if used is None else used, F.shape)
     reached[:] = law.rotations(F)
     trace = float(np.einsum("eij,eij->e", U, reached).min())
-    stray = law.stress(F, reached) - law.stress(F, U)
+    stray = law.stress(F, reached, find_dilatation(F, reached)) - law.stress(F, U, find_dilatation(F, U))
     stress = float(np.sqrt((stray**2).sum(axis=(1, 2))).max())
     own = float(np.trace(reached, axis1=1, axis2=2).min())
     return FrameError(indicator(trace, d, stress, law.material), spurious_volume(own, d))

@@ -19,8 +19,8 @@ a = axial(R^T dF - dF^T R):
 `frozen` keeps the first two terms, T's R K_e R^T. `projected` clamps every mu + c/A_i at zero: the nearest positive
 semidefinite tangent, because the three terms act on orthogonal spaces. `exact` is indefinite in compression.
 
-With a mean dilatation (body.py) the trace tr(eps) in W, P and c is that mean, given as `dilatation` (e,); the second
-term of the tangent then couples the points of a cell, and element.py adds it.
+With a mean dilatation (dilatation.py) the trace tr(eps) in W, P and c is that mean, given as `dilatation` (e,); the
+second term of the tangent then couples the cells of a group, and dilatation.py adds it.
 
 Laws know nothing of meshes: element.py makes nodal forces and stiffness matrices from P and dP/dF.
 """
