@@ -233,9 +233,9 @@ def matrices(monkeypatch) -> list[Mesh]:
     made: list[Mesh] = []
     pattern = pipeline.fem.body.assemble_pattern
 
-    def count_call(mesh: Mesh, order: np.ndarray) -> Assembly:
+    def count_call(mesh: Mesh, *arguments: np.ndarray | None) -> Assembly:
         made.append(mesh)
-        return pattern(mesh, order)
+        return pattern(mesh, *arguments)
 
     monkeypatch.setattr(pipeline.fem.body, "assemble_pattern", count_call)
     return made
