@@ -11,6 +11,7 @@ from pipeline import build, load_case
 CELLS = [10, 30, 10]
 MOTION = {"spin": {"axis": [0.0, 1.0, 0.0], "rate": 90.0, "center": [2.0, 12.0, 2.0]}}
 SMALL = 22_000  # bytes: numbers, names and views, and the lanes of a kernel (14 kB), whatever the mesh
+SMALL_OF_ORDER_TWO = 36_000  # its kernels also have the gradients of ten nodes and the matrix of a cell (23 kB)
 
 
 @pytest.mark.parametrize("solver", ["banded", "warped", "multigrid", "pardiso", "cg"])
@@ -31,6 +32,26 @@ def test_an_implicit_step_allocates_its_state(cases_folder, method: dict, steppe
     keys = {"mesh.cells": CELLS, "method.linear_solver": solver, "method.stepper": stepper}
     keys |= {f"method.{key}": value for key, value in method.items()}
     check_allocations(build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant("polar")))
+
+
+@pytest.mark.parametrize("solver", ["warped", "multigrid"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        {"law": "linear"},
+        {"iterations": 1},
+        {"iterations": 1, "rotation_at": "element"},
+        {"iterations": 1, "volumetric": "mean"},
+        {"iterations": "converged"},
+        {"model": "auto"},
+    ],
+    ids=str,
+)
+def test_an_implicit_step_of_order_two_allocates_its_state(cases_folder, method: dict, solver: str) -> None:
+    keys = {"mesh.cells": [8, 14, 8], "mesh.order": 2, "method.linear_solver": solver}
+    keys |= {f"method.{key}": value for key, value in method.items()}
+    problem = build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant("polar"))
+    check_allocations(problem, small=SMALL_OF_ORDER_TWO)
 
 
 @pytest.mark.parametrize("variant", ["linear", "polar", "gram_schmidt"])
@@ -70,9 +91,9 @@ def find_allocations(source: str) -> list[tuple[int, set[str]]]:
     return sorted((c.lineno, {n.id for n in ast.walk(c) if isinstance(n, ast.Name)}) for c in made)
 
 
-def check_allocations(problem, *, held: int = 0) -> None:
+def check_allocations(problem, *, held: int = 0, small: int = SMALL) -> None:
     """Also allows `held` vectors of the held nodes."""
-    room = SMALL + held * problem.start.x[problem.body.supports.nodes].nbytes
+    room = small + held * problem.start.x[problem.body.supports.nodes].nbytes
     stepper = problem.prepare()
     state = problem.start
     for _ in range(3):
@@ -84,6 +105,6 @@ def check_allocations(problem, *, held: int = 0) -> None:
         kept, most = (now - before for now in tracemalloc.get_traced_memory())
     finally:
         tracemalloc.stop()
-    assert new.x.nbytes > 4 * SMALL and problem.body.mesh.shape_gradients.nbytes > 10 * new.x.nbytes
+    assert new.x.nbytes > 4 * small and problem.body.mesh.integration.gradients.nbytes > 10 * new.x.nbytes
     assert kept < 2 * new.x.nbytes + room
     assert most < 2 * new.x.nbytes + room
