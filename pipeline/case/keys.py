@@ -20,6 +20,7 @@ from pipeline.case.values import (
     FrameRate,
     Iterations,
     Lengths,
+    NotNegative,
     OneOf,
     PictureSize,
     PoissonRatio,
@@ -82,6 +83,8 @@ class MaterialSpec(Spec):
     youngs_modulus: Annotated[Positive, about("Young's modulus", "Pa")]
     poisson_ratio: Annotated[PoissonRatio, about("Poisson's ratio, above -1 and below 0.5")]
     density: Annotated[Positive, about("mass per rest volume", "kg/m3")]
+    mass_damping: Annotated[NotNegative, about("alpha of C = alpha M + beta K', damps slow motions", "1/s")] = 0.0
+    stiffness_damping: Annotated[NotNegative, about("beta of C = alpha M + beta K', damps fast vibrations", "s")] = 0.0
 
 
 class MethodSpec(Spec):

@@ -80,6 +80,13 @@ def _check_positive(value: Any) -> float:
     return number
 
 
+def _check_not_negative(value: Any) -> float:
+    number = _check_number(value)
+    if number < 0:
+        raise make_fault(f"{quote_value(value)} is negative")
+    return number
+
+
 def _check_fraction(value: Any) -> float:
     number = _check_number(value)
     if not SMALLEST_POSITIVE <= number < 1:
@@ -261,6 +268,7 @@ def _as_json(kind: str, **limits: Any) -> WithJsonSchema:
 
 FiniteNumber = Annotated[float, PlainValidator(_check_number), _as_json("number")]
 Positive = Annotated[float, PlainValidator(_check_positive), _as_json("number", exclusiveMinimum=0)]
+NotNegative = Annotated[float, PlainValidator(_check_not_negative), _as_json("number", minimum=0)]
 Fraction = Annotated[float, PlainValidator(_check_fraction), _as_json("number", exclusiveMinimum=0, exclusiveMaximum=1)]
 PoissonRatio = Annotated[
     float, PlainValidator(_check_poisson_ratio), _as_json("number", exclusiveMinimum=-1, exclusiveMaximum=0.5)

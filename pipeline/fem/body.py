@@ -20,6 +20,7 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import Assembly, BlockPattern, assemble_pattern
+from pipeline.fem.damping import Rayleigh
 from pipeline.fem.dilatation import Groups, average_over_groups, find_dilatation_blocks, group_elements
 from pipeline.fem.element import (
     deformation_gradient,
@@ -62,6 +63,7 @@ class Body:
     mass_model: MassModel
     varying_load: Callable[[float], Floats] | None = None
     formulation: Formulation = PLAIN
+    damping: Rayleigh | None = None
 
     def __repr__(self) -> str:
         held = len(self.supports.nodes)
@@ -247,6 +249,16 @@ class Body:
         R = self._spread(self.rotations(x) if R is None else R)
         out[:] = nodal_forces(self.mesh, self.law.stress(F, R, self._find_dilatation(F, R)))
         return out
+
+    def damped_force(self, x: Floats, v: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
+        """Return f_el(x) - beta K' v (n, d) [N], with the rotations R (s, d, d) at x.
+
+        Forces of given rotations are affine in x, so these are the ones at x + beta v. alpha M v is not included.
+        """
+        beta = 0.0 if self.damping is None else self.damping.stiffness
+        if not beta or self.law.constant_tangent:
+            return self.force(x + beta * v if beta else x, R, out=out)
+        return self.force(x + beta * v, self.rotations(x) if R is None else R, out=out)
 
     def warm_up(self, *, solves: bool = True, frame_errors: bool = False, tangents: bool = False) -> None:
         """Load or compile the kernels that later steps need, so that no timed step has to.

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from pipeline.errors import SolveError
+from pipeline.fem.damping import find_mode_root
 from pipeline.fem.modes import find_lowest_frequencies
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.simplex import label_components, measure_quality
@@ -25,8 +26,9 @@ _HUNDREDTH = 0.01  # of critical damping, and of a period: above these a smaller
 class Check:
     """Counts, volumes [m3], quality (1 is regular), speed of pressure waves [m/s] and lowest frequency omega_1 [rad/s].
 
-    z is omega_1 dt; `damping` and `phase_lag` [degrees per period] are the stepper's effect on that mode, NaN for
-    symplectic Euler, which is stable below `explicit_limit` [s] and, by a bound over the cells, `explicit_bound` [s].
+    z is omega_1 dt, `material_damping` the damping ratio of that mode; `damping`, its ratio in steps, and `phase_lag`
+    [degrees per period] are NaN for symplectic Euler, which is stable below `explicit_limit` [s] and, by a bound over
+    the cells, `explicit_bound` [s].
     """
 
     dimension: int
@@ -44,6 +46,7 @@ class Check:
     wave_speed: float
     omega_1: float
     z: float
+    material_damping: float
     damping: float
     phase_lag: float
     explicit_bound: float
@@ -57,7 +60,8 @@ def check_problem(problem: Problem) -> Check:
     q = measure_quality(mesh)
     omega = _lowest(problem)
     z = omega * problem.dt
-    factor = MODE_FACTORS.get(problem.method.stepper, lambda z: complex("nan"))
+    zeta = 0.0 if body.damping is None else body.damping.damping_ratio(omega)
+    mode_factor = MODE_FACTORS.get(problem.method.stepper, lambda z, zeta: complex("nan"))
     return Check(
         dimension=mesh.dimension,
         nodes=len(mesh.points),
@@ -74,8 +78,9 @@ def check_problem(problem: Problem) -> Check:
         wave_speed=body.material.wave_speed,
         omega_1=omega,
         z=z,
-        damping=_damping(factor, z),
-        phase_lag=_phase_lag(factor, z),
+        material_damping=zeta,
+        damping=_damping(mode_factor, z, zeta),
+        phase_lag=_phase_lag(mode_factor, z, zeta),
         explicit_bound=element_limit(body),
         explicit_limit=_limit(problem),
     )
@@ -139,28 +144,44 @@ def _format_mode(check: Check, stepper: str) -> list[str]:
     """Return damping and lag of the lowest mode, with the steps that would bring each down to a hundredth."""
     if stepper not in MODE_FACTORS:
         return []
-    factor = MODE_FACTORS[stepper]
-
-    def suggest(measure: Callable[[Callable[[float], complex], float], float], goal: float, unit: str) -> str:
-        if measure(factor, check.z) <= goal:
-            return ""
-        z = brentq(lambda z: measure(factor, z) - goal, 1e-6, check.z)
-        return f"; for {100 * _HUNDREDTH:g} % {unit}take dt near {z / check.omega_1:.2g} s"
-
-    return [
-        f"damping      {stepper} damps that mode by {100 * check.damping:.3g} % of critical"
-        + suggest(_damping, _HUNDREDTH, ""),
-        f"phase        the mode lags by {check.phase_lag:.3g} degrees a period"
-        + suggest(_phase_lag, 360 * _HUNDREDTH, "of a period "),
-    ]
+    zeta = check.material_damping
+    damping = f"{stepper} damps that mode by {100 * check.damping:.3g} % of critical"
+    if zeta:
+        damping = f"the material damps that mode by {100 * zeta:.3g} % of critical, with {stepper} "
+        damping += f"by {100 * check.damping:.3g} %"
+    more = "more than the material " if zeta else ""
+    rows = [f"damping      {damping}{_suggest_step(check, stepper, _damping, min(zeta, 1.0) + _HUNDREDTH, more)}"]
+    if zeta >= 1:
+        return rows
+    lag = f"the mode lags by {check.phase_lag:.3g} degrees a period"
+    advice = _suggest_step(check, stepper, _phase_lag, 360 * _HUNDREDTH, "of a period ")
+    return [*rows, f"phase        {lag}{advice}"]
 
 
-def _damping(factor: Callable[[float], complex], z: float) -> float:
-    """Return the damping ratio of a mode that a step multiplies by factor(z)."""
-    power = log(factor(z))
+_Factor = Callable[[float, float], complex]
+
+
+def _suggest_step(
+    check: Check, stepper: str, measure: Callable[[_Factor, float, float], float], goal: float, unit: str
+) -> str:
+    """Return the step at which a measure of the lowest mode reaches its goal, "" if it is below."""
+    factor, zeta = MODE_FACTORS[stepper], check.material_damping
+    if measure(factor, check.z, zeta) <= goal:
+        return ""
+    z = brentq(lambda z: measure(factor, z, zeta) - goal, 1e-6, check.z)
+    return f"; for {100 * _HUNDREDTH:g} % {unit}take dt near {z / check.omega_1:.2g} s"
+
+
+def _damping(factor: _Factor, z: float, zeta: float) -> float:
+    """Return the damping ratio of a mode that a step multiplies by factor(z, zeta)."""
+    power = log(factor(z, zeta))
     return -power.real / abs(power)
 
 
-def _phase_lag(factor: Callable[[float], complex], z: float) -> float:
-    """Return the phase [degree] by which a mode that a step multiplies by factor(z) lags after one period."""
-    return 360 * (1 - phase(factor(z)) / z)
+def _phase_lag(factor: _Factor, z: float, zeta: float) -> float:
+    """Return the phase [degree] by which a mode that a step multiplies by factor(z, zeta) lags after one period.
+
+    A mode with more than critical damping has no period: NaN.
+    """
+    turn = z * find_mode_root(zeta).imag
+    return 360 * (1 - phase(factor(z, zeta)) / turn) if turn else float("nan")

@@ -111,8 +111,9 @@ IMPLICIT_STEPPERS = tuple(name for name, row in STEPPERS.items() if row.is_impli
 STEP_LIMITS: Mapping[str, tuple[Callable[[Body], float], Callable[[Body], float]]] = {
     "symplectic_euler": (element_limit, true_limit),
 }
-# the factor by which a step of an implicit stepper multiplies a mode of the linear law with z = omega dt
-MODE_FACTORS: Mapping[str, Callable[[float], complex]] = {
+# the factor by which a step of an implicit stepper multiplies a mode of the linear law with z = omega dt and a damping
+# ratio
+MODE_FACTORS: Mapping[str, Callable[[float, float], complex]] = {
     "backward_euler": backward_euler.mode_factor,
     "bdf2": bdf2.mode_factor,
 }

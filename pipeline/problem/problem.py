@@ -1,13 +1,14 @@
 """Case -> Problem: looks up every name, checks every vector and node set, makes the body and its initial state."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from pipeline.case import Case, MethodSpec
 from pipeline.errors import MeshError, join_names, quote_value
 from pipeline.fem.body import Body, Formulation
 from pipeline.fem.compiled_body import make_body
+from pipeline.fem.damping import Rayleigh
 from pipeline.fem.laws import Corotational, Law
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports
@@ -104,7 +105,11 @@ def build(case: Case, *, mesh: ElementMesh | None = None) -> Problem:
 def _make_body(case: Case, mesh: ElementMesh, supports: Supports, loads: LoadSum) -> Body:
     law, mass, method = _make_law(case), MASSES[case.method.mass].part, case.method
     formulation = Formulation(cast(Any, method.rotation_at), cast(Any, method.volumetric))
-    return make_body(mesh, law, supports, loads.constant, mass, loads.varying, formulation)
+    body = make_body(mesh, law, supports, loads.constant, mass, loads.varying, formulation)
+    m = case.material
+    if not m.mass_damping and not m.stiffness_damping:
+        return body
+    return replace(body, damping=Rayleigh(m.mass_damping, m.stiffness_damping))
 
 
 def _make_law(case: Case) -> Law:

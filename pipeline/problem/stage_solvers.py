@@ -1,6 +1,6 @@
 """Steppers made from a method: their stage solvers, linear solvers and treatments, from the tables in methods.py."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -19,6 +19,7 @@ from pipeline.linear.solver import LinearSolver, RestState, SystemSettings
 from pipeline.mesh.quadratic import find_side_ends
 from pipeline.problem.methods import INVERSIONS, LINEAR_SOLVERS, STEPPERS, find_traits
 from pipeline.stepping.auto import Auto
+from pipeline.stepping.damping import FrozenDamping
 from pipeline.stepping.energy_guard import EnergyGuard
 from pipeline.stepping.inversion import Treatment
 from pipeline.stepping.newton import Converged, NewtonLimits
@@ -57,7 +58,7 @@ def make_stepper(body: Body, dt: float, method: MethodSpec) -> Stepper:
 
 def make_stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
     """Return the solver of implicit stages of size h [s] that the body's law and the method's iterations need."""
-    systems, stiffness = _describe_systems(body, h, method), h * body.frequency_bound
+    systems, stiffness = _describe_systems(body, h, method), _find_stiffness(body, h)
     if body.law.constant_tangent:
         body.warm_up()
         return Prefactored(body, _make_linear_solver(systems, stiffness, method, constant=True), h)
@@ -76,10 +77,13 @@ def make_stage_solver(body: Body, h: float, method: MethodSpec) -> StageSolver:
             body.varying_load,
             body.formulation,
         )
+        linear = replace(linear, damping=body.damping)
         linear.warm_up()
         prefactored = Prefactored(linear, _make_linear_solver(systems, stiffness, method, constant=True), h)
         newton = Converged(body, solver, limits)
-        return Auto(body, prefactored, FrozenPasses(body, solver, 1), newton, method.volume_tolerance)
+        # damping holds back the stress that shrinks a swollen cell: it keeps up to 1 + beta/h times the volume
+        slow = 1.0 if body.damping is None else 1 + body.damping.stiffness / h
+        return Auto(body, prefactored, FrozenPasses(body, solver, 1), newton, method.volume_tolerance / slow)
     if isinstance(method.iterations, int):
         return FrozenPasses(body, solver, method.iterations)
     return Converged(body, solver, limits)
@@ -102,8 +106,13 @@ def list_linear_solvers(body: Body, h: float, method: MethodSpec) -> list[dict[s
     if LINEAR_SOLVERS[method.linear_solver].part is not None:
         return [{"name": method.linear_solver, "reason": "the case names it"}]
     kinds = [True, False] if traits.chooses_model else [body.law.constant_tangent]
-    choices = [choose_solver(band, constant=kind, stiffness=h * body.frequency_bound) for kind in kinds]
+    choices = [choose_solver(band, constant=kind, stiffness=_find_stiffness(body, h)) for kind in kinds]
     return [{"name": name, "reason": reason} for name, reason in choices]
+
+
+def _find_stiffness(body: Body, h: float) -> float:
+    """Return a bound on h omega_max [1]; with damping, of the h for which M + h^2 K is as stiff as the matrix."""
+    return (h if body.damping is None else body.damping.stiffen(h)) * body.frequency_bound
 
 
 def _make_linear_solver(
@@ -117,11 +126,15 @@ def _make_linear_solver(
 
 
 def _describe_systems(body: Body, h: float, method: MethodSpec) -> SystemSettings:
-    """Return the systems of a body's free nodes; the state at rest has the matrix M + h^2 K."""
+    """Return the systems of a body's free nodes; the state at rest has the matrix M + h C + h^2 K."""
 
     def assemble() -> Floats:
         A = np.empty_like(body.mass)
         body.assemble_system(body.mesh.points, h, np.empty_like(body.mesh.points), A)
+        if body.damping is not None:
+            damping = FrozenDamping(body, body.damping)
+            damping.freeze(body.mesh.points, h)
+            A += damping.values
         if body.guide_cut is not None:
             body.guide_cut.apply(A)
         return A[: body.free_pattern.blocks]

@@ -10,6 +10,8 @@ reaches. In strained cells that turn, the stress that the solve balanced is off 
     accept if indicator(U, R) <= T;  else U = R and solve again
     if that does not shrink the indicator, or a cell turned by 90 degrees or more, Newton's method solves the step
 
+Damped by beta, a body skips U = I: rates of strain in a frame that is off by the angle t brake a rotation by sin t.
+
 No accepted step has an indicator above T. It bounds volume, not phase: numerical damping still depends on the number
 of solves.
 """
@@ -59,10 +61,14 @@ class Auto:
         """Return the accepted x and v, and a report with rung and indicator; raises SolveError as Newton does."""
         x, v, work, rung = self._solve_first(stage)
         error = self._measure(x)
+        is_frozen = rung == COROTATIONAL and not stage.starts_at_x_n
         for _ in range(_PASSES):
             if error.indicator <= self.tolerance:
                 break
             before = error.indicator
+            if not is_frozen:
+                self.passes.system.freeze_damping(stage, at_start=False)
+                is_frozen = True
             work += self._run_pass(x, stage, v, at_x_h=False)
             rung = COROTATIONAL
             error = self._measure(advance(self.body, stage, v, out=x))
@@ -85,6 +91,7 @@ class Auto:
         if not stage.starts_at_x_n:
             self.body.update_rotations(stage.start, self._reached)
         v = stage.v_h.copy()
+        self.passes.system.freeze_damping(stage, at_start=True)
         work = self._run_pass(stage.start, stage, v, at_x_h=stage.starts_at_x_n)
         return advance(self.body, stage, v), v, work, COROTATIONAL
 
@@ -113,6 +120,9 @@ class Auto:
                 return self._error.indicator <= self.tolerance
             if self._error.from_rest > self.tolerance:
                 return False
+        if self.body.damping is not None and self.body.damping.stiffness:
+            self.body.update_rotations(x, self._reached)
+            return False
         if self.body.bound_frame_error(x) <= self.tolerance:
             return True
         # the second part of the indicator costs more: it is measured only if the first does not decide

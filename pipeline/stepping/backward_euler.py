@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from math import atan, hypot, log
 
 from pipeline.fem.body import Body
+from pipeline.fem.damping import find_mode_root
 from pipeline.stepping.inversion import Treatment, track_rotations
 from pipeline.stepping.parts import StepperParts
 from pipeline.stepping.report import StepReport
@@ -52,6 +53,9 @@ def damping_ratio(z: float) -> float:
     return decay / hypot(decay, turn)
 
 
-def mode_factor(z: float) -> complex:
-    """Return the factor G by which a step multiplies a mode with z = omega dt; the exact one is e^(i z)."""
-    return 1 / (1 - 1j * z)
+def mode_factor(z: float, zeta: float = 0.0) -> complex:
+    """Return the factor G by which a step multiplies a mode with z = omega dt and the damping ratio zeta.
+
+    The exact one is e^(w z), with the root w of w^2 + 2 zeta w + 1 = 0: e^(i z) without damping.
+    """
+    return 1 / (1 - find_mode_root(zeta) * z)

@@ -14,6 +14,7 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.fem.body import Body
+from pipeline.fem.damping import find_mode_root
 from pipeline.stepping.backward_euler import BackwardEuler
 from pipeline.stepping.inversion import Treatment, track_rotations
 from pipeline.stepping.parts import StepperParts
@@ -73,6 +74,9 @@ def _extrapolate(now: Floats, before: Floats, part: float, out: Floats) -> Float
     return out
 
 
-def mode_factor(z: float) -> complex:
-    """Return the factor G by which a step multiplies a mode with z = omega dt; the exact one is e^(i z)."""
-    return 1 / (2 - sqrt(1 + 2j * z))
+def mode_factor(z: float, zeta: float = 0.0) -> complex:
+    """Return the factor G by which a step multiplies a mode with z = omega dt and the damping ratio zeta.
+
+    The exact one is e^(w z), with the root w of w^2 + 2 zeta w + 1 = 0: e^(i z) without damping.
+    """
+    return 1 / (2 - sqrt(1 + 2 * find_mode_root(zeta) * z))

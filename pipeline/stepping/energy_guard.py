@@ -128,7 +128,10 @@ def work_of_supports(body: Body, old: State, new: State, dt: float, *, scratch: 
     gained, p = np.empty((2, *new.v.shape)) if scratch is None else scratch
     body.momentum(np.subtract(new.v, old.v, out=gained), p)
     inertia = [p[place] / dt for place in places]
-    body.force(new.x, out=p)
+    if body.damping is not None:
+        body.momentum(new.v, p)
+        inertia = [rate + body.damping.mass * p[place] for rate, place in zip(inertia, places, strict=True)]
+    body.damped_force(new.x, new.v, out=p)
     load, work = body.load_at(new.step * dt), 0.0
     for place, part, rate in zip(places, moved, inertia, strict=True):
         power = (rate - p[place] - load[place]) * part

@@ -3,6 +3,8 @@ r"""The converged stage: Newton's method on the incremental potential, with back
     phi(x) = |x - y|_M^2 / (2 h^2) + W(x) - f_ext . x,    y = x_h + h v_h,    supported nodes prescribed
     grad phi = M (x - y) / h^2 + grad W - f_ext,          v = (x - x_h) / h
 
+A damped body adds the dissipation (x - x_h) . C (x - x_h) / (2 h) to phi and C v to grad phi (damping.py).
+
 Its minimum is the stage's solution. From x_n every accepted iterate lowers phi, so the energy after a step of
 backward Euler is bounded by the energy before it. From the predictor y Newton's method usually takes 3 to 4 iterations,
 so y is tried first; the result is accepted only if it converged and phi is no higher than phi(x_n).
@@ -51,7 +53,7 @@ class NewtonLimits:
     tangent: Tangent = "projected"
 
 
-_Terms = tuple[float, float, float]  # of phi [J]: inertia, elastic energy, loads
+_Terms = tuple[float, float, float, float]  # of phi [J]: inertia, elastic energy, loads, dissipation
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,10 @@ class Converged:
         )
         # the energy of a unit strain everywhere [J], and the strain that rounding of positions causes
         self._full = (2 * m.mu + abs(m.lam)) * float(body.mesh.rest_volumes.sum())
+        # rates of strain count as strains if a body is damped
+        self._rate = 0.0 if body.damping is None else body.damping.stiffness
         steepest = float(np.abs(body.mesh.integration.gradients).max())
+        self._steepest = steepest
         self._rounded_strain = float(np.finfo(np.float64).eps * np.abs(X).max()) * steepest
         # the iterate and a trial of the next one; y, -grad phi, dx, and scratch for two vectors
         self._x, self._trial = np.empty((2, *X.shape))
@@ -111,7 +116,8 @@ class Converged:
         return sum(self._terms(self._hold(stage.start, stage, self._trial), stage))
 
     def _begin(self, stage: Stage) -> None:
-        """Compute y, and the size of the forces that do not change in the stage."""
+        """Freeze the damping, compute y, and the size of the forces that do not change in the stage."""
+        self.system.freeze_damping(stage, at_start=False)
         np.multiply(stage.v_h, stage.h, out=self._y)
         self._y += stage.x_h
         inertia = _norm(self.body.momentum(stage.v_h, self._Ma)) / stage.h
@@ -130,7 +136,12 @@ class Converged:
         np.subtract(x, self._y, out=self._away)
         inertia = float(np.vdot(self._away, self.body.momentum(self._away, self._Ma))) / (2 * stage.h**2)
         np.subtract(x, self.body.mesh.points, out=self._away)
-        return inertia, self.body.energy(x), -float(np.vdot(stage.load, self._away))
+        loads = -float(np.vdot(stage.load, self._away))
+        if self.system.damping is None:
+            return inertia, self.body.energy(x), loads, 0.0
+        np.subtract(x, stage.x_h, out=self._away)
+        dissipation = float(np.vdot(self._away, self.system.damping.multiply(self._away))) / (2 * stage.h**2)
+        return inertia, self.body.energy(x), loads, dissipation
 
     def _descend(self, start: Floats, stage: Stage, limit: int) -> _Descent:
         self._hold(start, stage, self._x)
@@ -161,11 +172,26 @@ class Converged:
         self._Ma /= stage.h**2
         r += stage.load
         r -= self._Ma
+        if self.system.damping is not None:
+            size += self._subtract_damping(stage)
         r[body.supports.nodes] = 0.0
         if body.supports.guides is not None:
             r.reshape(-1)[body.supports.guides.components] = 0.0
-        floor = _ROUNDING / self.limits.tolerance * self._stiff * np.sqrt(r.size)
+        stiff = self._stiff
+        if body.damping is not None:  # differences of positions lose digits, in C v as in strains
+            drag = body.damping.mass * float(body.lumped_mass.max()) * float(np.abs(self._x).max())
+            stiff = stiff * (1 + self._rate / stage.h) + drag / stage.h
+        floor = _ROUNDING / self.limits.tolerance * stiff * np.sqrt(r.size)
         return _norm(r) / max(size, floor)
+
+    def _subtract_damping(self, stage: Stage) -> float:
+        """Subtract C v from r (n, d) [N]; return the size of C v."""
+        assert self.system.damping is not None
+        np.subtract(self._x, stage.x_h, out=self._away)
+        impulse = self.system.damping.multiply(self._away)
+        impulse /= stage.h**2
+        self._r -= impulse
+        return _norm(impulse)
 
     def _find_direction(self, relative: float, stage: Stage) -> Work:
         """Compute the Newton step dx (n, d); near the end with the exact tangent if that is positive definite."""
@@ -195,7 +221,7 @@ class Converged:
         If there is no such s, x stays as it is and None is returned.
         """
         # at the solution phi changes by less than its rounding; a step that promises less than that is taken whole
-        phi, noise, s = sum(terms), self._noise(terms), 1.0
+        phi, noise, s = sum(terms), self._noise(terms, stage), 1.0
         while s >= _SHORTEST:
             np.multiply(self._dx, s, out=self._trial)
             self._trial += self._x
@@ -206,14 +232,20 @@ class Converged:
             s /= 2
         return None
 
-    def _noise(self, terms: _Terms) -> float:
+    def _noise(self, terms: _Terms, stage: Stage) -> float:
         """Return the part of phi [J] that is rounding, from its terms.
 
         Near the rest shape W loses more digits than a sum does: W = full e^2 / 2 changes by full e de with the strain
         de that rounding of positions causes. Without that part the search would halve good steps over and over.
         """
         elastic = max(terms[1], 0.0)  # rounding may leave it slightly negative
-        return _DIGITS * sum(map(abs, terms)) + float(np.sqrt(2 * elastic * self._full)) * self._rounded_strain
+        lost = float(np.sqrt(2 * elastic * self._full))
+        noise = _DIGITS * sum(map(abs, terms)) + lost * self._rounded_strain
+        if not self._rate:
+            return noise
+        # the dissipation is a sum over differences of displacements, most of which may be rigid
+        turned = float(np.abs(np.subtract(self._x, stage.x_h, out=self._away)).max()) * self._steepest
+        return noise + float(np.finfo(np.float64).eps) * turned**2 * self._full * self._rate / stage.h
 
 
 def _norm(a: Floats) -> float:

@@ -24,6 +24,7 @@ from pipeline.fem.body import Body
 from pipeline.fem.laws import Tangent
 from pipeline.linear.solver import LinearSolver
 from pipeline.linear.work import Work
+from pipeline.stepping.damping import FrozenDamping
 from pipeline.stepping.report import StepReport
 
 
@@ -79,10 +80,10 @@ def hold(body: Body, stage: Stage, x: Floats) -> Floats:
 class StageSystem:
     """The linear systems of one body, linearized at positions x and solved for v - v*, v* = (x - x_h)/h.
 
-    A (v - v*) = M (v_h - v*) + h (f_ext + f_el(x)),    A = M + h^2 K(x)
+    A (v - v*) = M (v_h - v*) + h (f_ext + f_el(x) - C v*),    A = M + h C + h^2 K(x)
 
-    is the equation above with h K (x_h - x) = -h^2 K v* moved to the left. A, f and the right-hand side b are
-    allocated once, as are the buffers of a solve.
+    is the equation above with h K (x_h - x) = -h^2 K v* moved to the left, and the force -C v of a damped body
+    (damping.py). A, f and the right-hand side b are allocated once, as are the buffers of a solve.
     """
 
     def __init__(self, body: Body, solver: LinearSolver) -> None:
@@ -93,10 +94,22 @@ class StageSystem:
         self.f, self.b = np.empty_like(X), np.empty_like(X)
         self._free = np.empty((2, len(body.free), d))
         self._cut = np.empty(0)  # the entries of A that guides cut
+        self.damping = None if body.damping is None else FrozenDamping(body, body.damping)
+
+    def freeze_damping(self, stage: Stage, *, at_start: bool) -> None:
+        """Freeze the damping of a stage, for a solve at its start or for others; without damping do nothing."""
+        if self.damping is None:
+            return
+        if at_start or not stage.starts_at_x_n:
+            self.damping.freeze(stage.start, stage.h, stage.R)
+        else:
+            self.damping.freeze_middle(stage.x_h, stage.v_h, stage.h)
 
     def linearize(self, x: Floats, h: float, R: Floats | None = None, kind: Tangent = "frozen") -> Work:
         """Assemble A and f_el at positions x (n, d) and give A to the solver."""
         self.body.assemble_system(x, h, self.f, self.A, R=R, kind=kind)
+        if self.damping is not None:
+            self.A += self.damping.values
         return self.update_solver(x)
 
     def update_solver(self, x: Floats) -> Work:
@@ -172,6 +185,8 @@ class Prefactored:
         self.body = body
         self.system = StageSystem(body, solver)
         self._held = np.empty((len(body.supports.nodes), body.mesh.dimension))
+        if self.system.damping is not None:
+            self.system.damping.freeze(body.mesh.points, h)
         self._setup: Work | None = self.system.linearize(body.mesh.points, h)
 
     def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
@@ -206,7 +221,10 @@ class FrozenPasses:
     def solve(self, stage: Stage) -> tuple[Floats, Floats, StepReport]:
         """Return x and v after the last pass."""
         v = stage.v_h.copy()
+        self.system.freeze_damping(stage, at_start=True)
         work = self.run_pass(stage.start, stage, v, stage.R, at_x_h=stage.starts_at_x_n)
+        if self.passes > 1 and stage.starts_at_x_n:
+            self.system.freeze_damping(stage, at_start=False)
         for _ in range(self.passes - 1):
             work += self.run_pass(advance(self.body, stage, v, out=self._x), stage, v, at_x_h=False)
         return advance(self.body, stage, v), v, StepReport(work)
@@ -214,7 +232,7 @@ class FrozenPasses:
     def run_pass(self, x: Floats, stage: Stage, v: Floats, R: Floats | None = None, *, at_x_h: bool) -> Work:
         """Write the solution linearized at x (n, d), with its rotations or R, into v, which enters as the guess.
 
-        `at_x_h` says that x is x_h: then v* is zero, and nothing is subtracted.
+        `at_x_h` says that x is x_h: then v* is zero, and nothing is subtracted. The damping is frozen.
         """
         body, h, system = self.body, stage.h, self.system
         work = system.linearize(x, h, R)
@@ -229,6 +247,8 @@ class FrozenPasses:
         system.f += stage.load
         system.f *= h
         b += system.f
+        if not at_x_h and system.damping is not None:
+            b -= system.damping.multiply(self._v_star)
         work += system.solve(held, v, guided)
         work.iterations += 1
         work.rotations += 1

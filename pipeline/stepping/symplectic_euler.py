@@ -1,7 +1,11 @@
 r"""Symplectic Euler (W): v += dt/m (f_el(x) + f_ext), x += dt v, with lumped masses; no matrix.
 
-Order 1, but no damping: energy oscillates about its true value. Stable only for dt < 2 / omega_max. Not for stiff
-bodies with large steps; no other method has a cheaper step.
+Order 1, without damping of its own: energy oscillates about its true value. Stable only for dt < 2 / omega_max. Not for
+stiff bodies with large steps; no other method has a cheaper step.
+
+A damped body takes v <- (v + dt/m (f_el(x) - beta K' v + f_ext)) / (1 + alpha dt); beta shrinks the limit:
+
+    (dt^2 + 2 beta dt) omega_max^2 < 4 + 2 alpha dt
 
     element bound    omega_max <= max_e omega_e, the largest frequency of a cell alone, free, with its lumped mass
     true limit       omega_max of the whole body at rest, supports held (Lanczos)
@@ -39,6 +43,10 @@ class SymplecticEuler:
 
         self._kick = kick
         self._dt_over_mass = self.dt / self.body.lumped_mass
+        self._kept = 1.0  # the part of a velocity that alpha leaves
+        if self.body.damping is not None:
+            self._kept = 1 / (1 + self.body.damping.mass * self.dt)
+            self._dt_over_mass *= self._kept
         # kernels are compiled or loaded here, not in a timed step
         self.body.warm_up(solves=False)
         none = np.zeros_like(self.body.load[:0])
@@ -54,10 +62,12 @@ class SymplecticEuler:
         """Return the state dt later."""
         body = self.body
         R, inversion = track_rotations(self.treatment, body, state.x, state)
-        v = body.force(state.x, R)
+        v, before = body.damped_force(state.x, state.v, R), state.v
+        if body.damping is not None:
+            before = before * self._kept
         x = np.empty_like(state.x)
         held, load = body.held_positions((state.step + 1) * self.dt), body.load_at(state.step * self.dt)
-        self._kick(v, load, self._dt_over_mass, state.x, state.v, self.dt, body.supports.nodes, held, x)
+        self._kick(v, load, self._dt_over_mass, state.x, before, self.dt, body.supports.nodes, held, x)
         guided = body.guided_positions((state.step + 1) * self.dt)
         if guided is not None and body.supports.guides is not None:
             places = body.supports.guides.components
@@ -68,14 +78,14 @@ class SymplecticEuler:
 
 
 def element_limit(body: Body) -> float:
-    """Return 2 / max_e omega_e [s]: a step below it is stable about rest, whatever the supports."""
+    """Return 2 / max_e omega_e [s], less with damping: a step below it is stable about rest, whatever the supports."""
     K, m = _cell_matrices(body)
     scaled = K / np.sqrt(m)[:, :, None] / np.sqrt(m)[:, None, :]
-    return float(2 / np.sqrt(np.linalg.eigvalsh(scaled)[:, -1].max()))
+    return _find_limit(body, float(np.linalg.eigvalsh(scaled)[:, -1].max()))
 
 
 def true_limit(body: Body) -> float:
-    """Return 2 / omega_max [s] of the body at rest; raises SolveError if Lanczos does not converge."""
+    """Return 2 / omega_max [s] of the body at rest, less if damped; raises SolveError if Lanczos does not converge."""
     _, K = body.linearize(body.mesh.points)
     pattern = body.free_pattern
     matrix = pattern.matrix(K[: pattern.blocks])
@@ -84,7 +94,7 @@ def true_limit(body: Body) -> float:
         root[body.guide_cut.is_held.ravel()] = np.inf
     operator = LinearOperator(matrix.shape, matvec=lambda u: (matrix @ (u.ravel() / root)) / root, dtype=np.float64)
     if matrix.shape[0] < 3:
-        return float(2 / np.sqrt(np.linalg.eigvalsh(operator @ np.eye(matrix.shape[0])).max()))
+        return _find_limit(body, float(np.linalg.eigvalsh(operator @ np.eye(matrix.shape[0])).max()))
     start = np.random.default_rng(0).standard_normal(matrix.shape[0])
     try:
         largest = eigsh(
@@ -94,7 +104,14 @@ def true_limit(body: Body) -> float:
         raise SolveError(
             f"Lanczos did not find the largest frequency ({error}); set schedule.dt below the element bound"
         ) from error
-    return float(2 / np.sqrt(largest[0]))
+    return _find_limit(body, float(largest[0]))
+
+
+def _find_limit(body: Body, square: float) -> float:
+    """Return the largest stable step [s] for the square of the largest frequency [1/s2]."""
+    if body.damping is None:
+        return float(2 / np.sqrt(square))
+    return body.damping.explicit_limit(float(np.sqrt(square)))
 
 
 def _cell_matrices(body: Body) -> tuple[Floats, Floats]:
