@@ -65,7 +65,10 @@ def test_every_case_file_loads_and_survives_a_round_trip(path):
         assert again.variant_names == ("default",)
 
 
-@pytest.mark.parametrize("path", [p for p in CASES if p.stem.startswith("bar") and "quadratic" not in p.stem], ids=lambda path: path.stem)
+SEEDS = [path for path in CASES if path.stem.startswith("bar") and "quadratic" not in path.stem]
+
+
+@pytest.mark.parametrize("path", SEEDS, ids=lambda path: path.stem)
 def test_bar_scenes_are_those_of_the_seeds(path):
     case = load_case(path)
     assert case.variant_names == ("linear", "gram_schmidt", "polar", "converged")

@@ -47,9 +47,10 @@ _LEAST_ACCURATE = min(IMPLICIT_STEPPERS, key=lambda name: STEPPERS[name].order)
 
 @dataclass(frozen=True)
 class Tradeoff:
-    """A study's folder, its summary (as in summary.json), the answer in one sentence, more lines, and its files."""
+    """A study's folder, its table, its summary (as in summary.json), the answer in one sentence, more lines, files."""
 
     folder: Path
+    table: ErrorTable
     summary: dict[str, Any]
     sentence: str
     lines: tuple[str, ...]
@@ -100,6 +101,7 @@ def study_tradeoff(
         notes.append(_apply_choice(table, sentence))
     return Tradeoff(
         target,
+        table,
         summary,
         sentence,
         (*_list_lines(table, summary, find_worst_auto(verdicts)), *(f"note: {note}" for note in notes)),

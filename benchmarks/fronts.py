@@ -1,0 +1,93 @@
+"""What a total error costs with elements of order 1 and 2: trade-off studies of five scenes, a table and a figure.
+
+    python -m benchmarks.fronts [--only heavy_beam] [--out outputs/fronts]
+
+Each row is one study: the solver seconds at which each order reaches 1 % of the body's size in total (model, time and
+mesh together), and their ratio. A cost in parentheses is extrapolated, because the order needs finer meshes than were
+run. Points that were run before are not run again.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from pipeline import load_case
+from pipeline.studies.tradeoff.order_figure import write_order_figure
+from pipeline.studies.tradeoff.orders import OrderCost, find_order_costs
+from pipeline.studies.tradeoff.settings import make_plan
+from pipeline.studies.tradeoff.study import study_tradeoff
+from pipeline.studies.tradeoff.table import ErrorTable
+from pipeline.studies.tradeoff.verdict import describe_setting
+
+TOLERANCE = 0.01
+HEAD = "| scene | simulated | order 1 | order 2 | ratio | error of the finest mesh | setting of order 2 |"
+
+
+class Scene(NamedTuple):
+    """A case, the steps of its schedule that are run, the step sizes [s], and the refinements."""
+
+    name: str
+    steps: int
+    dts: Sequence[float]
+    refinements: Sequence[float]
+
+
+SCENES = (
+    Scene("bar", 15, (0.07, 0.035, 0.0175), (0.5, 1, 2)),
+    Scene("heavy_beam", 12, (0.25, 0.125, 0.0625), (0.5, 1, 2)),
+    Scene("twisted_bar", 50, (0.1, 0.05), (0.25, 0.5, 1)),
+    Scene("beam2d", 1500, (1 / 30, 1 / 60, 1 / 120), (0.5, 1, 2)),
+    Scene("mushroom", 10, (0.07, 0.035), (1, 2)),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the studies, print the table, write the figure and return 0."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", metavar="NAME", nargs="+", default=[], help="only these scenes")
+    parser.add_argument("--out", type=Path, default=Path("outputs/fronts"), help="folder of the studies (%(default)s)")
+    options = parser.parse_args(arguments)
+    cases, tables = Path(__file__).parents[1] / "cases", []
+    print(HEAD, "| --- " * 7 + "|", sep="\n", flush=True)
+    for scene in SCENES:
+        if options.only and scene.name not in options.only:
+            continue
+        case = load_case(cases / f"{scene.name}.toml")
+        plan = make_plan(
+            case, tolerance=TOLERANCE, dts=scene.dts, refinements=scene.refinements, orders=(1, 2), steps=scene.steps
+        )
+        tables.append(study_tradeoff(plan, options.out / scene.name, repeats=3).table)
+        print(format_row(tables[-1]), flush=True)
+    write_order_figure(tables, options.out / "orders.png")
+    return 0
+
+
+def format_row(table: ErrorTable) -> str:
+    """Return the line of a study in markdown."""
+    first, second = find_order_costs(table, TOLERANCE)
+    mesh = table.estimate_reference_errors().mesh
+    cells = (
+        table.plan.case.name,
+        f"{table.plan.interval * table.plan.frames:.3g} s",
+        format_cost(first),
+        format_cost(second),
+        f"{first.seconds / second.seconds:.3g}",
+        "" if mesh is None else f"{100 * mesh:.2g} %",
+        "" if second.setting is None else describe_setting(second.setting),
+    )
+    return f"| {' | '.join(cells)} |"
+
+
+def format_cost(cost: OrderCost) -> str:
+    """Return the seconds of an order, in parentheses if they are extrapolated."""
+    text = f"{cost.seconds:.3g} s"
+    return text if cost.setting is not None else f"({text})"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
