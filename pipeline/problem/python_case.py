@@ -37,10 +37,10 @@ def make_case(
 
     Every section has the keys of a case file. In addition `mesh` may be a Mesh or a pair of arrays: points (n, d) [m]
     and cells (e, d + 1). In a support, `nodes` may be a mask (n,) or a function of X (n, d) that returns one, and
-    `motion` a function of X (k, d) and t [s] that returns displacements (k, d) [m], zero at t = 0. In `loads`,
-    `body_force` [N/m3] and `nodal_forces` [N] may be arrays (n, d) or functions of X or of X and t that return them. In
-    `initial`, `velocity` [m/s] may be an array (n, d) or a function of X. Other `sections` are method, output, movie
-    and variants.
+    `motion` (or its `displacement`, beside `until`) a function of X (k, d) and t [s] that returns displacements (k, d)
+    [m], zero at t = 0. In `loads`, `body_force` [N/m3] and `nodal_forces` [N] may be arrays (n, d) or functions of X or
+    of X and t that return them. In `initial`, `velocity` [m/s] may be an array (n, d) or a function of X. Other
+    `sections` are method, output, movie and variants.
 
     The result folder describes arrays and functions but does not contain them: to solve such a case again, make it
     again. A function counts as unchanged if its code, the values that it refers to, and its results at 16 times in the
@@ -75,15 +75,19 @@ class _Describer:
         if isinstance(nodes, np.ndarray):
             out["nodes"] = self._list_nodes(f"{key}.nodes", nodes)
         if callable(motion):
-            X = self.points[out["nodes"]] if "nodes" in out else self.points
-            function = self._describe_function(f"{key}.motion", motion, X)
-            offset = np.abs(function.value(X, 0.0)).max(initial=0.0)
-            if offset > 0:
-                raise CaseError(
-                    f"{self.path}: {key}.motion: moves a node by {offset:.3g} m at t = 0; it must start at rest"
-                )
-            out["motion"] = {"displacement": function}
+            out["motion"] = {"displacement": self._describe_motion(f"{key}.motion", motion, out)}
+        elif isinstance(motion, Mapping) and callable(displacement := motion.get("displacement")):
+            function = self._describe_motion(f"{key}.motion.displacement", displacement, out)
+            out["motion"] = {**motion, "displacement": function}
         return out
+
+    def _describe_motion(self, key: str, function: Callable[..., Any], support: Mapping[str, Any]) -> PythonValue:
+        X = self.points[support["nodes"]] if "nodes" in support else self.points
+        described = self._describe_function(key, function, X)
+        offset = np.abs(described.value(X, 0.0)).max(initial=0.0)
+        if offset > 0:
+            raise CaseError(f"{self.path}: {key}: moves a node by {offset:.3g} m at t = 0; it must start at rest")
+        return described
 
     def describe_loads(self, loads: Mapping[str, Any]) -> dict[str, Any]:
         """Return the loads with fields in place of arrays and functions."""

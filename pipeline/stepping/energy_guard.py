@@ -108,10 +108,14 @@ def natural_energy(body: Body) -> float:
 
 
 def work_of_varying_load(body: Body, old: State, new: State, dt: float) -> float:
-    """Return |f . motion| of the loads that vary with time in a step [J]."""
+    """Return |f . motion| of the loads that vary with time in a step [J], with the larger of f before and after it.
+
+    A stepper takes one of the two: an explicit one the first, so that a push of one step does its work after its end.
+    """
     if body.varying_load is None:
         return 0.0
-    return abs(float(np.vdot(body.varying_load(new.step * dt), new.x - old.x)))
+    moved = new.x - old.x
+    return max(abs(float(np.vdot(body.varying_load(step * dt), moved))) for step in (old.step, new.step))
 
 
 def work_of_supports(body: Body, old: State, new: State, dt: float, *, scratch: Floats | None = None) -> float:
