@@ -178,7 +178,7 @@ class CompiledBody(Body):
 
     def measure_frame_error(self, x: Floats, used: Floats | None, reached: Floats) -> FrameError:
         """Write the rotations at x into reached (s, d, d); return their frame error from those used."""
-        if self._rotation != POLAR:
+        if self._rotation != POLAR or self.groups is not None:  # the kernels take every point's own dilatation
             return super().measure_frame_error(x, used, reached)
         before, d = self._no_rotations if used is None else used, x.shape[1]
         trace, stress, own = self._modules.frame_errors.measure_frame_error(
@@ -188,7 +188,7 @@ class CompiledBody(Body):
 
     def bound_frame_error(self, x: Floats) -> float:
         """Return an upper bound on the indicator of measure_frame_error(x, None) that needs no rotations."""
-        if self._rotation != POLAR:
+        if self._rotation != POLAR or self.groups is not None:
             return super().bound_frame_error(x)
         tangent, stress = self._modules.frame_errors.bound_frame_error(
             _to_contiguous(x), *self._sites, *self._cells[3:5]

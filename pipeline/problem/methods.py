@@ -86,6 +86,14 @@ ROTATIONS: Mapping[str, Choice[Rotation]] = {
         GRAM_SCHMIDT_ROTATION, "the thesis' choice: cheap, depends on the order of the axes, has no potential"
     ),
 }
+ROTATION_SITES: Mapping[str, str] = {
+    "points": "a rotation at every integration point",
+    "element": "cells of order 2 have one rotation each: cheaper, inaccurate if cells bend; no potential",
+}
+VOLUMETRICS: Mapping[str, str] = {
+    "full": "the dilatation of every integration point: cells lock as poisson_ratio approaches 0.5",
+    "mean": "one dilatation for each cell of order 2, or group of cells of order 1: for poisson_ratio above 0.45",
+}
 STEPPERS: Mapping[str, StepperChoice] = {
     "backward_euler": StepperChoice(
         BackwardEuler.make,
@@ -175,6 +183,8 @@ def describe_choices() -> dict[str, dict[str, str]]:
         "method.model": MODELS,
         "method.law": LAWS,
         "method.rotation": ROTATIONS,
+        "method.rotation_at": ROTATION_SITES,
+        "method.volumetric": VOLUMETRICS,
         "method.stepper": STEPPERS,
         "method.iterations": ITERATIONS,
         "method.tangent": TANGENTS,
