@@ -11,7 +11,7 @@ import xarray
 
 from pipeline.case import MethodSpec, load_case
 from pipeline.fem.body import Body, Formulation
-from pipeline.fem.compiled_body import make_body
+from pipeline.fem.body_choice import make_body
 from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports, rotation_about
 from pipeline.mesh.element_mesh import ElementMesh

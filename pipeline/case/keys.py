@@ -100,7 +100,9 @@ class MethodSpec(Spec):
         str, OneOf("points", "element"), about("where cells of order 2 find rotations: at each point, or once per cell")
     ] = "points"
     volumetric: Annotated[
-        str, OneOf("full", "mean"), about("dilatation of each point, or the mean of a cell or group of cells, which does not lock")
+        str,
+        OneOf("full", "mean"),
+        about("dilatation of each point, or a mean over cells, which does not lock"),
     ] = "full"
     stepper: Annotated[Text, about("time integrator")] = "backward_euler"
     iterations: Annotated[Iterations, about("linear solves per step, or converged")] = 1

@@ -309,5 +309,5 @@ class Body:
         f[:] = nodal_forces(self.mesh, self.law.stress(F, R, dilatation))
         A += scale * self.assembly.sum_blocks(stiffness_blocks(self.mesh, self.law.tangent(F, R, kind, dilatation)))
         if self.groups is not None and self._group_assembly is not None:
-            blocks = find_dilatation_blocks(self.mesh, self.groups, R, self.material.lam)
+            blocks = find_dilatation_blocks(self.mesh, self.groups, R)
             A += scale * self._group_assembly.sum_blocks(blocks)

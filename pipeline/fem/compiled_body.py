@@ -1,6 +1,5 @@
 """Bodies with the corotational or the linear law, whose sums over cells are compiled."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -9,13 +8,10 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import sort_corners
-from pipeline.fem.body import PLAIN, Body, Formulation
+from pipeline.fem.body import Body
 from pipeline.fem.frame_error import FrameError, indicator, spurious_volume
 from pipeline.fem.kernels import IDENTITY, POLAR
 from pipeline.fem.laws import CREASE, Corotational, Law, Linear, Tangent
-from pipeline.fem.mass import MassModel
-from pipeline.fem.supports import Supports
-from pipeline.mesh.element_mesh import ElementMesh
 
 
 class KernelSet(NamedTuple):
@@ -273,22 +269,3 @@ def find_rotation_number(law: Law) -> int | None:
     if isinstance(law, Linear):
         return IDENTITY
     return law.rotation.number if isinstance(law, Corotational) else None
-
-
-def make_body(
-    mesh: ElementMesh,
-    law: Law,
-    supports: Supports,
-    load: Floats,
-    mass_model: MassModel,
-    varying_load: Callable[[float], Floats] | None = None,
-    formulation: Formulation = PLAIN,
-) -> Body:
-    """Return the fastest body for a law; a law without a kernel gets a plain Body."""
-    kind = Body
-    has_kernels = load_kernels(mesh.order, mesh.dimension) is not None
-    if mesh.order == 1 and formulation.volumetric == "mean":
-        has_kernels = False  # those of order 1 know no groups of cells
-    if has_kernels and find_rotation_number(law) is not None:
-        kind = LinearBody if isinstance(law, Linear) else CompiledBody
-    return kind(mesh, law, supports, load, mass_model, varying_load, formulation)

@@ -7,7 +7,7 @@ from typing import Any, cast
 from pipeline.case import Case, MethodSpec
 from pipeline.errors import MeshError, join_names, quote_value
 from pipeline.fem.body import Body, Formulation
-from pipeline.fem.compiled_body import make_body
+from pipeline.fem.body_choice import make_body
 from pipeline.fem.damping import Rayleigh
 from pipeline.fem.laws import Corotational, Law
 from pipeline.fem.material import Material

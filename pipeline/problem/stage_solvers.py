@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.arrays import Floats, Ints
 from pipeline.case import MethodSpec
 from pipeline.fem.body import Body
-from pipeline.fem.compiled_body import make_body
+from pipeline.fem.body_choice import make_body
 from pipeline.fem.laws import Linear, Tangent
 from pipeline.fem.rotation import polar
 from pipeline.linear.band import Band

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.fem.body import Body, Formulation
-from pipeline.fem.compiled_body import CompiledBody, LinearBody, load_kernels, make_body
+from pipeline.fem.body_choice import make_body
+from pipeline.fem.compiled_body import CompiledBody, LinearBody, load_kernels
 from pipeline.fem.laws import Corotational, Law, Linear
 from pipeline.fem.mass import CONSISTENT_MASS
 from pipeline.fem.material import Material
