@@ -44,7 +44,7 @@ def group_elements(mesh: ElementMesh, lam: float | Floats) -> Groups:
     labels = find_groups(mesh, lam)
     nodes, places = _gather_nodes(labels, mesh.cells)
     first = np.unique(labels, return_index=True)[1]
-    return Groups(labels, nodes, places, np.bincount(labels, volumes), lam[first])
+    return Groups(labels, nodes, places, np.asarray(np.bincount(labels, volumes), np.float64), lam[first])
 
 
 def _gather_nodes(labels: Ints, cells: Ints) -> tuple[Ints, Ints]:
