@@ -2,8 +2,8 @@
 
     python -m benchmarks.scaling CASE… [--cells 2x8x2 8x26x8] [--method NAME] [--out outputs/bench]
 
-It is `pipeline study scaling` with rivals: plain scipy takes turns with one_solve, and each other program (peers.py)
-has a row of its own. Writes bench.json and scaling.png. Nothing else should run.
+It is `pipeline study scaling` with rivals: plain scipy takes turns with one_solve and order_two, and each
+other program (peers.py) has a row of its own. Writes bench.json and scaling.png. Nothing else should run.
 """
 
 import argparse
@@ -23,10 +23,10 @@ INSTALL = "pip install 'corotational-pipeline[bench]', in an environment of its 
 PLAIN_SCIPY = Rival(
     name="plain scipy",
     task="benchmarks.plain_scipy:list_starts",
-    label="one_solve, plain scipy",
+    label="plain scipy",
     color="#7d8597",
     differs="plain scipy: the better of SuperLU and Jacobi-CG",
-    beside="one_solve",
+    beside=("one_solve", "order_two"),
 )
 
 

@@ -27,7 +27,7 @@ def test_the_benchmark_has_a_row_for_every_method_and_installed_program(cases_fo
     assert [row["method"] for row in rows] == [*METHODS, *list_installed()]
     assert all(row["error"] is None for row in rows)
     for row in rows[: len(METHODS)]:
-        assert ((row["baseline_ms"] or 0) > row["ms"]) == (row["method"] == "one_solve")
+        assert ((row["baseline_ms"] or 0) > row["ms"]) == (row["method"] in {"one_solve", "order_two"})
     assert (tmp_path / "scaling.png").stat().st_size > 10_000
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].endswith("plain scipy") and " x)" in lines[2]
@@ -38,8 +38,9 @@ def test_the_tasks_of_rivals_can_be_imported(cases_folder) -> None:
     assert all(import_task(make_rival(name).task) is measure_peer for name in PEERS)
 
 
-def test_plain_scipy_moves_as_ours(cases_folder) -> None:
-    problem = build_point(make_point(cases_folder, "one_solve"))
+@pytest.mark.parametrize("method", ["one_solve", "order_two"])
+def test_plain_scipy_moves_as_ours(cases_folder, method: str) -> None:
+    problem = build_point(make_point(cases_folder, method))
     stepper, state = problem.prepare(), problem.start
     for _ in range(3):
         state, _ = stepper.step(state)

@@ -81,6 +81,18 @@ def test_a_rival_takes_turns_with_ours(cases_folder, monkeypatch) -> None:
     assert 0 <= rival < ours
 
 
+def test_order_two_is_compared_with_as_many_nodes_of_order_one() -> None:
+    common = {"case": "bar", "error": None, "nodes": 425, "ns_per_tet": 1.0, "linear_iterations": 4, "setup_s": 0.1}
+    common |= {"peak_MB": None, "bound_ms": 0.1, "baseline_ms": None, "iterations": 1}
+    rows = [
+        common | {"method": "order_two", "tets": 192, "ms": 3.0},
+        common | {"method": "one_solve", "tets": 1536, "ms": 2.0},
+    ]
+    expected = "order_two, 425 nodes: 1.50 x one_solve with as many (192 and 1536 tets)"
+    assert format_costs(rows, [])[3:] == [expected]
+    assert len(format_costs([rows[0] | {"nodes": 426}, rows[1]], [])) == 3
+
+
 def test_wrong_input_and_no_measured_point_are_errors(cases_folder, tmp_path) -> None:
     with pytest.raises(CaseError, match="--method 'quick': is not one of linear, one_solve"):
         study_scaling([load_case(cases_folder / "bar.toml")], tmp_path, methods=["quick"])
@@ -92,7 +104,7 @@ def test_wrong_input_and_no_measured_point_are_errors(cases_folder, tmp_path) ->
 def test_rivals_have_a_table_of_their_own() -> None:
     rivals = [
         Rival("other", "m:f", "other, a step", "#000000", "another law"),
-        Rival("plain", "m:g", "plain", "#000000", "no kernels", beside="linear"),
+        Rival("plain", "m:g", "plain", "#000000", "no kernels", beside=("linear",)),
     ]
     row = {"case": "bar", "method": "other", "version": "4", "cells": [1, 1, 1], "error": None}
     row |= {"tets": 6, "ms": 3.0, "ns_per_tet": 1.0, "setup_s": 0.1, "ours_ms": 1.5}

@@ -8,13 +8,14 @@ from pipeline.errors import OutputError
 from pipeline.studies.scaling.rival import Rival
 from pipeline.studies.scaling.step_cost import CostRow
 from pipeline.views.figures import open_figure
-from pipeline.views.palette import BLUE, GREEN, GRID, INK, PURPLE, SKY, VERMILION
+from pipeline.views.palette import BLUE, GREEN, GRID, INK, ORANGE, PURPLE, SKY, VERMILION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _COLORS = {
     "linear": VERMILION, "one_solve": BLUE, "gram_schmidt": SKY, "auto": INK, "converged": GREEN, "explicit": PURPLE,
+    "order_two": ORANGE,
 }  # fmt: skip
 
 
@@ -25,19 +26,21 @@ def write_cost_figure(rows: Sequence[CostRow], rivals: Sequence[Rival], path: Pa
         raise OutputError(f"{path}: no point was measured: {rows[0]['error']}")
     colors = _COLORS | {rival.name: rival.color for rival in rivals}
     labels = {rival.name: rival.label for rival in rivals}
-    beside = [rival.name for rival in rivals if rival.beside]
+    beside = [(rival.name, method) for rival in rivals for method in rival.beside]
     with open_figure(path, (8.0, 5.6), dpi=120) as figure:
         axes = figure.subplots()
         for method, color in colors.items():
             method_rows = [row for row in good if row["method"] == method]
             if method_rows:
                 _draw_method(axes, method_rows, labels.get(method, method), color)
-        for name in beside:
-            baseline = sorted((row["tets"], row["baseline_ms"]) for row in good if row.get("baseline_ms"))
+        for name, method in beside:
+            rows_beside = [row for row in good if row["method"] == method and row.get("baseline_ms")]
+            baseline = sorted((row["tets"], row["baseline_ms"]) for row in rows_beside)
             if baseline:
-                axes.plot(*zip(*baseline, strict=True), "s--", color=colors[name], label=labels[name])
+                label = f"{method}, {labels[name]}"
+                axes.plot(*zip(*baseline, strict=True), "s--", color=colors[method], label=label)
         axes.set(xscale="log", yscale="log", xlabel="tetrahedra", ylabel="ms a step")
-        dashed = f", dashed: {', '.join(beside)}" if beside else ""
+        dashed = f", dashed: {', '.join(dict.fromkeys(name for name, _ in beside))}" if beside else ""
         axes.set_title(f"Cost of a step; dotted: bound by the bandwidth{dashed}", loc="left", fontsize=10)
         axes.grid(visible=True, which="major", color=GRID)
         axes.legend(frameon=False, loc="upper left")

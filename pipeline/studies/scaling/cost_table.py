@@ -14,7 +14,7 @@ def format_costs(rows: Sequence[CostRow], rivals: Sequence[Rival]) -> list[str]:
     beside = [rival.name for rival in rivals if rival.beside]
     lines = ["   ".join([_HEAD, *beside])]
     lines += [_format_row(row) for row in rows if row["method"] in METHODS]
-    return [*lines, *_list_newton_lines(rows), *_list_rival_lines(rows, rivals)]
+    return [*lines, *_list_newton_lines(rows), *_list_order_lines(rows), *_list_rival_lines(rows, rivals)]
 
 
 def _format_row(row: CostRow) -> str:
@@ -44,6 +44,19 @@ def _list_newton_lines(rows: Sequence[CostRow]) -> list[str]:
         if row["method"] == "converged" and row["iterations"] and place in one_solve:
             ratio = row["ms"] / row["iterations"] / one_solve[place]
             lines.append(f"converged, {row['tets']} tets: an iteration costs {ratio:.1f} x one solve")
+    return lines
+
+
+def _list_order_lines(rows: Sequence[CostRow]) -> list[str]:
+    """Return the cost of order_two over that of one_solve on a mesh of the same case with as many nodes."""
+    good = [row for row in rows if not row["error"]]
+    one_solve = {(row["case"], row["nodes"]): row for row in good if row["method"] == "one_solve"}
+    lines = []
+    for row in good:
+        other = one_solve.get((row["case"], row["nodes"])) if row["method"] == "order_two" else None
+        if other and other["tets"] > row["tets"]:
+            ratio, cells = row["ms"] / other["ms"], f"{row['tets']} and {other['tets']} tets"
+            lines.append(f"order_two, {row['nodes']} nodes: {ratio:.2f} x one_solve with as many ({cells})")
     return lines
 
 

@@ -12,8 +12,8 @@ class Rival:
 
     `task` names a function as "module:function", which runs in its own process. It takes a point's settings and returns
     a row with method, version, cells, tets, nodes, dt, ms, ns_per_tet, ours_ms, setup_s, peak_MB and differs.
-    If `beside` names one of our methods, it takes that method's problem and returns functions that each start the
-    motion and return its step; these take turns with ours, and the fastest is `baseline_ms` of our row.
+    If `beside` names methods of ours, it takes the problem of one and returns functions that each start the motion and
+    return its step; these take turns with ours, and the fastest is `baseline_ms` of our row.
     """
 
     name: str
@@ -21,7 +21,7 @@ class Rival:
     label: str
     color: str
     differs: str
-    beside: str = ""
+    beside: tuple[str, ...] = ()
 
 
 def import_task(name: str) -> Callable[..., Any]:

@@ -29,6 +29,12 @@ METHODS: dict[str, dict[str, Any]] = {
     "gram_schmidt": {"method.law": "corotational", "method.rotation": "gram_schmidt", "method.iterations": 1},
     "auto": {"method.model": "auto"},
     "converged": {"method.law": "corotational", "method.iterations": "converged"},
+    "order_two": {
+        "mesh.order": 2,
+        "method.law": "corotational",
+        "method.rotation": "polar",
+        "method.iterations": 1,
+    },
     "explicit": {"method.stepper": "symplectic_euler", "method.mass": "lumped"},
 }
 _LIMIT_SHARE = 0.5  # the explicit step over its limit: far enough below it for a moving body

@@ -103,7 +103,7 @@ def _list_points(
     file = folder / "cases" / f"{case.name}.toml"
     write_whole(file, case.to_toml(file.parent))
     common = {"name": case.name, "case": str(file), "variant": _choose_variant(case)}
-    beside = {rival.beside: {"task": rival.task, "differs": rival.differs} for rival in rivals if rival.beside}
+    beside = {name: {"task": r.task, "differs": r.differs} for r in rivals for name in r.beside}
     points = [{"method": name, "task": _OUR_TASK, "beside": beside.get(name)} for name in methods]
     points += [{"method": rival.name, "task": rival.task} for rival in rivals if not rival.beside]
     meshes = [list(counts) for counts in cells] if cells and case.mesh.shape else [None]
