@@ -7,6 +7,9 @@ from typing import Any
 from pipeline.case.values import join_key
 from pipeline.errors import CaseError, quote_value
 
+# tables that may be written as vectors, their `value`, and the keys that turn a vector into such a table
+_BARE_VECTORS = {("loads", "gravity"): ("value", "history"), ("loads", "body_force"): ("value", "factor", "history")}
+
 
 def parse_override(text: str) -> tuple[str, object]:
     """Return the key and value of "key=value"; a value that is not TOML, such as a bare word, is a string."""
@@ -47,6 +50,8 @@ def _replace_at(node: Any, parts: list[str], value: object, done: tuple[str, ...
     head, *rest = parts
     if isinstance(node, Mapping):
         return {**node, head: _replace_at(node.get(head, {}), rest, value, (*done, head))}
+    if done in _BARE_VECTORS and isinstance(node, list | tuple) and head in _BARE_VECTORS[done]:
+        return {"value": node, head: _replace_at({}, rest, value, (*done, head)) if rest else value}
     if isinstance(node, list | tuple):
         index = int(head) if head.isascii() and head.isdecimal() and len(head) < 10 else -1
         if not 0 <= index < len(node):

@@ -61,7 +61,7 @@ def make_loads(case: Case, mesh: ElementMesh, held: Ints) -> LoadSum:
     for key, forces, spec in builder.iterate_loads():
         history = None if spec is None else read_history(case, f"{key}.history", spec)
         factors = () if history is None else tuple(history(time) for time in list_times(case))
-        totals.append(LoadTotal(key, forces.sum(axis=0), spec, factors))
+        totals.append(LoadTotal(key, _sum_forces(forces), spec, factors))
         builder.notes += _note_idle_load(key, forces[free], factors)
         if spec is None or history is None:
             constant += forces
@@ -166,6 +166,12 @@ class _LoadBuilder:
         return point_force(mesh, int(cells[0]), weights[0], force)
 
 
+def _sum_forces(forces: Floats) -> Floats:
+    """Return the resultant (d,) [N]; components that are rounding errors of forces in balance are 0."""
+    total = np.asarray(forces.sum(axis=0))
+    return np.where(np.abs(total) < 1e-12 * np.abs(forces).sum(), 0.0, total)
+
+
 def _note_idle_load(key: str, on_free_nodes: Floats, factors: Sequence[float]) -> list[str]:
     """Return a note on a load that moves nothing."""
     if not on_free_nodes.any():
@@ -177,9 +183,8 @@ def _note_idle_load(key: str, on_free_nodes: Floats, factors: Sequence[float]) -
 
 def format_total(total: LoadTotal, end: float) -> str:
     """Return a load as `pipeline check` prints it, for a run that ends at a time [s]."""
-    force = np.where(np.abs(total.force) < 1e-12 * np.abs(total.force).max(), 0.0, total.force)
-    unit = "N" if len(force) == 3 else "N/m"  # of thickness
-    text = f"{total.key.removeprefix('loads.')}: [{', '.join(f'{part:.6g}' for part in force)}] {unit}"
+    unit = "N" if len(total.force) == 3 else "N/m"  # of thickness
+    text = f"{total.key.removeprefix('loads.')}: [{', '.join(f'{part:.6g}' for part in total.force)}] {unit}"
     if not total.factors:
         return text
     factors = total.factors

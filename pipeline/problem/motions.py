@@ -34,6 +34,17 @@ def make_motion(case: Case, key: str, spec: MotionSpec, d: int) -> Motion:
     return RetimedMotion(motion, float, 1.0, **until) if until else motion
 
 
+def note_endless_motions(case: Case) -> list[str]:
+    """Return notes on motions that end after the run."""
+    s = case.schedule
+    end = s.dt * s.steps_per_frame * s.frames
+    return [
+        f"supports.{i}.motion.until: {support.motion.until:g} s is after the end of the run, {end:g} s"
+        for i, support in enumerate(case.supports)
+        if support.motion is not None and support.motion.until is not None and support.motion.until > end
+    ]
+
+
 def _make_uniform_motion(case: Case, key: str, spec: MotionSpec, d: int) -> Motion:
     """Return the motion without its history and its end; a displacement is reached after one second."""
     if isinstance(spec.displacement, PythonValue):

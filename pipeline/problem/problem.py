@@ -36,6 +36,7 @@ from pipeline.problem.methods import (
     STEPPERS,
     find_traits,
 )
+from pipeline.problem.motions import note_endless_motions
 from pipeline.problem.stage_solvers import make_stepper
 from pipeline.stepping.state import State, Stepper
 
@@ -215,7 +216,7 @@ def _check_name(case: Case, key: str, name: str, table: Mapping[str, Any]) -> st
 
 
 def _list_notes(case: Case, mesh: ElementMesh) -> tuple[str, ...]:
-    notes = [*case.notes, *mesh.notes, *note_near_nodes(case, mesh)]
+    notes = [*case.notes, *mesh.notes, *note_near_nodes(case, mesh), *note_endless_motions(case)]
     unused = [key for key in ("law", "rotation", "iterations") if f"method.{key}" in case.own_keys]
     traits = find_traits(case.method)
     if traits.chooses_model and unused:

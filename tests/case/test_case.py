@@ -593,6 +593,18 @@ def test_overrides_leave_what_they_were_given_alone():
     assert overrides == before
 
 
+def test_a_bare_vector_becomes_a_table_if_one_of_its_keys_is_set():
+    case = load({"loads.gravity": [0.0, 0.0, -9.81], "loads.gravity.history": "t", "loads.body_force": [1.0, 0.0, 0.0]})
+    assert case.loads.gravity.value == (0.0, 0.0, -9.81) and case.loads.gravity.history == "t"
+    assert case.as_dict()["loads"]["gravity"] == {"value": [0.0, 0.0, -9.81], "history": "t"}
+    case = load({"loads.body_force": [1.0, 0.0, 0.0], "loads.body_force.history": [[0, 0], [1, 2]]})
+    assert case.loads.body_force.history == ((0.0, 0.0), (1.0, 2.0)) and case.loads.body_force.factor == 1.0
+    assert load({"loads.gravity": [0, 0, -1]}).as_dict()["loads"]["gravity"] == [0.0, 0.0, -1.0]
+    assert load({"loads.gravity": [0, 0, -1], "loads.gravity.1": 5}).loads.gravity == (0.0, 5.0, -1.0)
+    with pytest.raises(CaseError, match=r"loads\.gravity is a list with entries 0 to 2; it has no 'scale'"):
+        load({"loads.gravity": [0, 0, -1], "loads.gravity.scale": 2})
+
+
 # Junk never raises anything but CaseError
 
 SCALARS = st.one_of(

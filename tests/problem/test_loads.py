@@ -279,6 +279,9 @@ def test_check_prints_resultants_and_the_factors_of_the_run(tmp_path):
         "load         traction.0: [5, 0, 1] N times a table, which is 2 at t = 0 and 0 at 0.08 s, within 0 to 2",
         "load         point.0: [0, 3, 0] N",
     ]
+    whole = {"traction": [{"box": [[0.0, 0.0, 0.0], [1.0, 3.0, 1.0]], "normal_traction": 1e5}]}
+    one = build_problem(tmp_path, loads=whole)
+    assert "load         traction.0: [0, 0, 0] N" in format_check(check_problem(one), one)
     two = build_problem(tmp_path, **PLANAR)
     assert "load         gravity: [0, -29430] N/m" in format_check(check_problem(two), two)
 

@@ -175,3 +175,9 @@ def test_a_history_needs_values_only_until_the_motion_ends(tmp_path):
     supports = [HELD, {"plane": "y", "at": 0.0, "motion": motion}]
     *_, last = frames(build_problem(tmp_path, **FREE | {"supports": supports}))
     assert last.x[0, 0] == pytest.approx((0.03**1.5 - 0.005**1.5) / 1.5, rel=1e-10)
+
+
+def test_a_motion_that_ends_after_the_run_is_noted(tmp_path):
+    motion = {"velocity": [1.0, 0.0, 0.0], "until": 2.0}
+    one = build_problem(tmp_path, **FREE | {"supports": [HELD, {"plane": "y", "at": 0.0, "motion": motion}]})
+    assert "supports.1.motion.until: 2 s is after the end of the run, 0.08 s" in one.notes

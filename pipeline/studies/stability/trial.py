@@ -19,7 +19,7 @@ from pipeline.problem.methods import STEP_LIMITS
 from pipeline.problem.problem import Problem, build
 from pipeline.run.frame import Frame
 from pipeline.run.frame_iterator import frames
-from pipeline.stepping.energy_guard import natural_energy, work_of_supports
+from pipeline.stepping.energy_guard import natural_energy, work_of_supports, work_of_varying_load
 from pipeline.stepping.state import State
 from pipeline.studies.stability.perturbations import move_apexes, scramble_nodes
 
@@ -148,7 +148,7 @@ def _run_problem(problem: Problem) -> Course:
         for frame in frames(problem):
             energy = float(frame.known["kinetic_energy"] + frame.known["elastic_energy"])
             from_loads = abs(float(frame.known["potential_energy"]))
-            supplied += energy + from_loads if before is None else _measure_supports_work(problem, before, frame)
+            supplied += energy + from_loads if before is None else _measure_work(problem, before, frame)
             growth = energy / max(supplied + from_loads, natural_energy(body))
             course.energy_growth = max(course.energy_growth, growth)
             course.iterations += frame.work.iterations if frame.work else 0
@@ -159,9 +159,11 @@ def _run_problem(problem: Problem) -> Course:
     return course
 
 
-def _measure_supports_work(problem: Problem, before: Frame, after: Frame) -> float:
+def _measure_work(problem: Problem, before: Frame, after: Frame) -> float:
+    """Return the work [J] of supports and of loads that vary; the potential has that of the others."""
     assert before.state is not None and after.state is not None
-    return work_of_supports(problem.body, before.state, after.state, problem.dt)
+    work = work_of_supports(problem.body, before.state, after.state, problem.dt)
+    return work + work_of_varying_load(problem.body, before.state, after.state, problem.dt)
 
 
 @lru_cache(maxsize=_CACHED_REFERENCES)
