@@ -174,10 +174,10 @@ def test_a_case_is_frozen_and_can_be_sent_to_another_process():
 def test_mesh_file_is_found_from_the_case_file_and_from_a_copy_elsewhere():
     for folder in ("cases", "outputs/beam/linear"):
         Path(folder).mkdir(parents=True)
-    document = {**SMALL, "mesh": {"file": "meshes/a.vtu", "scale": 8.98, "order": 1}}
+    document = {**SMALL, "mesh": {"file": "meshes/a.vtu", "scale": 8.98, "order": 1, "refine": 0}}
     case = load_case(write(document, "cases/beam.toml")).variant("linear")
     assert case.mesh_path == Path("cases/meshes/a.vtu")
-    assert case.as_dict()["mesh"] == {"file": "meshes/a.vtu", "scale": 8.98, "order": 1}
+    assert case.as_dict()["mesh"] == {"file": "meshes/a.vtu", "scale": 8.98, "order": 1, "refine": 0}
     saved = Path("outputs/beam/linear/case.toml")
     saved.write_text(case.to_toml(saved.parent), encoding="utf-8")
     assert tomllib.loads(saved.read_text())["mesh"]["file"] == "../../../cases/meshes/a.vtu"
@@ -411,7 +411,10 @@ WRONG = [
     ({"velocity": [1, 1]}, 'velocity: unknown key; did you mean "initial.velocity"?'),
     ({"size": [1, 1]}, 'size: unknown key; did you mean "mesh.size" or "movie.size"?'),
     ({"supports.0.att": 3}, 'supports.0.att: unknown key; did you mean "supports.0.at"?'),
-    ({"material.E": 3}, "material.E: unknown key; choose from youngs_modulus, poisson_ratio, density"),
+    (
+        {"material.E": 3},
+        "material.E: unknown key; choose from youngs_modulus, poisson_ratio, density, mass_damping, stiffness_damping",
+    ),
     (
         {"material": {"youngs_moduls": 1}},
         'material.youngs_moduls: unknown key; did you mean "material.youngs_modulus"?',

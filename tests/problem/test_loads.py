@@ -1,5 +1,7 @@
 """Loads in time, forces at points and vector tractions in whole runs, against closed forms; notes and messages."""
 
+import re
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -401,3 +403,15 @@ WRONG = [
 @pytest.mark.parametrize(("loads", "message"), WRONG, ids=[message[:40] for _, message in WRONG])
 def test_a_wrong_load_is_refused_with_its_key_its_value_and_a_remedy(tmp_path, loads, message):
     assert get_refusal(tmp_path, loads=loads).startswith(f"loads.{message}")
+
+
+def test_the_examples_of_the_documentation_are_cases(tmp_path):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "case_files.md").read_text(encoding="utf-8")
+    of_loads, of_motions = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)[:2]
+    mesh = {"shape": "box", "size": [1.0, 4.0, 1.0], "cells": [1, 4, 1]}
+    one = build_problem(tmp_path, mesh=mesh, supports=None, **tomllib.loads(of_loads))
+    assert [total.key.removeprefix("loads.") for total in one.loads] == [
+        "gravity", "body_force", "traction.0", "point.0", "point.1"
+    ]  # fmt: skip
+    two = build_problem(tmp_path, mesh=mesh, **tomllib.loads(of_motions))
+    assert len(two.body.supports.motions) == 2
