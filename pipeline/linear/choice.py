@@ -31,15 +31,17 @@ _MOST_OF_MEMORY = 0.5
 # [bytes] of MKL's factor. At 2.2e9 set-up took 28 s and a step 351 ms, with multigrid 5 s and 598 ms: paid back after
 # 90 steps. At 5.4e9: 100 s and 897 ms, with multigrid 10 s and 1198 ms: after 300 steps
 _PAID_FACTOR = 4e9
-# h omega_max: at 8.4 and 100k tetrahedra, 28 iterations without a cycle took 90 ms, 6 with one 87 ms
-_SOFT = 8.0
+# h omega_max by order. Order 1: at 8.4 and 100k tetrahedra, 28 iterations without a cycle took 90 ms, 6 with one 87 ms.
+# Order 2: the bound is looser (2.2 times the frequency, not 1.6) and cycles take more iterations: at 20 and 10k cells,
+# 77 iterations without a cycle took 105 ms, 15 with one 120 ms
+_SOFT = {1: 8.0, 2: 20.0}
 
 
-def choose_solver(band: Band, *, constant: bool, stiffness: float) -> tuple[str, str]:
+def choose_solver(band: Band, *, constant: bool, stiffness: float, order: int = 1) -> tuple[str, str]:
     """Return the name of the solver for a matrix that is constant, or changes every step, and the reason.
 
     `stiffness` is h times (a bound on) the highest frequency [1]: conjugate gradients without a factor take about three
-    times that many iterations.
+    times that many iterations. `order` is that of the elements. The thresholds of bands hold for both orders.
     """
     size, mkl = band.megabytes, load_mkl() is not None
     most = _CHANGING_BAND if not constant else _CONSTANT_BAND if mkl else _CONSTANT_BAND_WITHOUT_MKL
@@ -62,8 +64,8 @@ def choose_solver(band: Band, *, constant: bool, stiffness: float) -> tuple[str,
         if size <= _WARPED_BAND:
             return "warped", f"{reason}; {stiff}; the factor at rest is {choose_rest_factor(band)}"
         reason += f", with warped {_WARPED_BAND:g}"
-    if stiffness <= _SOFT:
-        return "cg", f"{reason}; the step is short: {stiff}, at most {_SOFT:g}"
+    if stiffness <= _SOFT[order]:
+        return "cg", f"{reason}; the step is short: {stiff}, at most {_SOFT[order]:g}"
     return "multigrid", f"{reason}; {stiff}"
 
 

@@ -106,7 +106,8 @@ def list_linear_solvers(body: Body, h: float, method: MethodSpec) -> list[dict[s
     if LINEAR_SOLVERS[method.linear_solver].part is not None:
         return [{"name": method.linear_solver, "reason": "the case names it"}]
     kinds = [True, False] if traits.chooses_model else [body.law.constant_tangent]
-    choices = [choose_solver(band, constant=kind, stiffness=_find_stiffness(body, h)) for kind in kinds]
+    stiffness, order = _find_stiffness(body, h), body.mesh.order
+    choices = [choose_solver(band, constant=kind, stiffness=stiffness, order=order) for kind in kinds]
     return [{"name": name, "reason": reason} for name, reason in choices]
 
 
@@ -120,7 +121,8 @@ def _make_linear_solver(
 ) -> LinearSolver:
     make = LINEAR_SOLVERS[method.linear_solver].part
     if make is None:
-        make = LINEAR_SOLVERS[choose_solver(systems.band, constant=constant, stiffness=stiffness)[0]].part
+        name, _ = choose_solver(systems.band, constant=constant, stiffness=stiffness, order=systems.rest.order)
+        make = LINEAR_SOLVERS[name].part
         assert make is not None  # choose_solver names only rows that have one
     return make(systems)
 

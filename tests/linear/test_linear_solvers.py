@@ -97,8 +97,8 @@ def test_the_choice_depends_on_size_stiffness_memory_and_installed_libraries(mon
 
     reasons: list[str] = []
 
-    def choose(pattern, *, constant: bool, stiffness: float = 1e3) -> str:
-        name, reason = linear_solve.choose_solver(Band(pattern), constant=constant, stiffness=stiffness)
+    def choose(pattern, *, constant: bool, stiffness: float = 1e3, order: int = 1) -> str:
+        name, reason = linear_solve.choose_solver(Band(pattern), constant=constant, stiffness=stiffness, order=order)
         assert "MB" in reason
         reasons.append(reason)
         return name
@@ -108,6 +108,8 @@ def test_the_choice_depends_on_size_stiffness_memory_and_installed_libraries(mon
     monkeypatch.setattr(linear_solve, "_WARPED_BAND", 1.0)
     assert choose(large, constant=False) == "multigrid" and choose(large, constant=False, stiffness=2.0) == "cg"
     assert "more than 0.5, with warped 1; h omega_max is up to 1e+03" in reasons[-2]
+    assert choose(large, constant=False, stiffness=15.0) == "multigrid"
+    assert choose(large, constant=False, stiffness=15.0, order=2) == "cg"
     monkeypatch.setattr(linear_solve, "_CONSTANT_BAND", 1.0)
     assert choose(large, constant=True) == "pardiso"
     with monkeypatch.context() as small_machine:
