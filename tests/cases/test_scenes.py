@@ -182,3 +182,21 @@ def test_cantilever_of_triangles_falls_alike_under_explicit_and_implicit_steps(m
     assert fallen > 1.0  # 0.5 s of free fall is 1.2 m
     # steps of 1/30 s against 1/1500 s
     assert np.linalg.norm(explicit.x - implicit.x, axis=1).max() < 0.03 * fallen
+
+
+def test_shaken_beam_follows_its_table_which_stops_and_leans_as_far_as_its_pull_says(motion: Motion) -> None:
+    amplitude = {}
+    for variant in ("bdf2", "backward_euler"):
+        path = list(motion("shaken_beam", variant))
+        X = path[0].mesh.points
+        table, top = X[:, 2] == 0.0, X[:, 2] == 1.0
+        for frame in path:
+            moved = 0.02 * np.sin(2 * np.pi * min(frame.time, 2.0)) * np.array([1.0, 0.0, 0.0])
+            np.testing.assert_allclose(frame.x[table], X[table] + moved, atol=1e-15)
+        u = np.array([(frame.x - X)[top].mean(axis=0) for frame in path])
+        amplitude[variant] = np.abs(u[:, 0]).max()
+        # F L^3/(3 E I) = .02 m; the mean over about a period, in which it swings across the pull as well
+        assert u[[frame.time > 3.0 for frame in path], 1].mean() == pytest.approx(0.02, rel=0.06)
+    # 2 periods of resonance without damping, and with 6 %
+    assert amplitude["bdf2"] == pytest.approx(0.19, rel=0.05)
+    assert amplitude["backward_euler"] == pytest.approx(0.13, rel=0.05)
