@@ -25,6 +25,7 @@ from pipeline.studies.tradeoff.deviation import (
     measure_deviation,
     measure_distances,
 )
+from pipeline.studies.tradeoff.finest_error import estimate_finest_error
 from pipeline.studies.tradeoff.levels import MeshLevel, match_nodes
 from pipeline.studies.tradeoff.mode_steps import find_steps_per_period
 from pipeline.studies.tradeoff.motion import (
@@ -36,7 +37,7 @@ from pipeline.studies.tradeoff.motion import (
     run_race,
     unpack_array,
 )
-from pipeline.studies.tradeoff.orders import _extrapolate
+from pipeline.studies.tradeoff.orders import _extrapolate, describe_orders, list_goals
 from pipeline.studies.tradeoff.settings import (
     AUTO,
     CONVERGED,
@@ -47,7 +48,14 @@ from pipeline.studies.tradeoff.settings import (
 )
 from pipeline.studies.tradeoff.study import study_tradeoff
 from pipeline.studies.tradeoff.table import ErrorTable, SettingRow
-from pipeline.studies.tradeoff.verdict import describe_choice, find_cheapest, find_front, judge_auto, split_error
+from pipeline.studies.tradeoff.verdict import (
+    describe_choice,
+    describe_finest_error,
+    find_cheapest,
+    find_front,
+    judge_auto,
+    split_error,
+)
 from tests.bodies import PLANAR, assert_conventional, case_document, make_clamped_bar, write_case
 
 
@@ -159,6 +167,20 @@ def test_the_mesh_of_a_file_is_refined_by_cutting_its_cells(cases_folder):
         make_plan(case, refinements=[3])
 
 
+@pytest.mark.parametrize(
+    ("loads", "reason"),
+    [
+        ({"point": [{"nodes": [3], "force": [0.0, 0.0, 1.0]}]}, "loads.point.0.nodes names nodes"),
+        ({"point": [{"plane": "y", "at": 3.0, "force": [0.0, 0.0, 1.0]}]}, "acts on each selected node"),
+        ({"point": [{"at": [0.5, 1.5, 0.5], "force": [0.0, 0.0, 1.0]}]}, None),
+    ],
+)
+def test_loads_that_belong_to_nodes_are_another_scene_on_another_mesh(tmp_path, loads, reason):
+    plan = make_small_plan(tmp_path, sections={"loads": loads}, orders=[1, 2])
+    assert plan.levels == ((OWN,) if reason else (OWN, MeshLevel(1, 2)))
+    assert reason is None or reason in plan.notes[0]
+
+
 @pytest.mark.parametrize(("shape", "size", "cells"), [(box, (1, 3, 2), (1, 3, 2)), (rectangle, (2, 1), (3, 2))])
 def test_coarse_nodes_are_found_in_finer_meshes(shape, size, cells):
     coarse = shape(size, cells)
@@ -171,30 +193,27 @@ def test_coarse_nodes_are_found_in_finer_meshes(shape, size, cells):
         match_nodes(coarse, shape(size, [3 * c + 1 for c in cells]))
 
 
-class Distances(ErrorTable):
-    """A table of which only the distances of meshes from the finest one are known."""
-
-    def __init__(self, plan, distances):
-        self.plan, self.distances = plan, distances
-
-    def find_mesh_error(self, level):
-        return self.distances.get(level, float("nan"))
-
-
 @pytest.mark.parametrize("rate", [1.0, 1.5, 2.0, 3.0])
 def test_the_error_of_the_finest_mesh_follows_the_observed_rate(rate):
-    levels = [MeshLevel(r, 2) for r in (0.5, 1.0, 2.0)]
-    errors = {level: 0.3 * level.refinement**-rate for level in levels}
-    distances = {level: error - errors[levels[-1]] for level, error in errors.items()}
-    plan = SimpleNamespace(finest=levels[-1])
-    found = Distances(plan, distances)._estimate_mesh_error()
-    assert found == pytest.approx(errors[levels[-1]], rel=1e-9)
-    # two meshes do not show a rate: with order 2 errors are taken to fall with the square of the cells' size
-    two = Distances(plan, {levels[1]: distances[levels[1]]})._estimate_mesh_error()
-    assert two == pytest.approx(distances[levels[1]] / 3)
-    # far from convergence the distances say little: the estimate is large
-    wild = Distances(plan, {levels[0]: 0.5, levels[1]: 0.5})._estimate_mesh_error()
-    assert wild > 1.0
+    coarse, half, finest = (0.3 * size**rate for size in (4, 2, 1))
+    found = estimate_finest_error(2, [half - finest, coarse - finest])
+    assert found.is_observed and found.error == pytest.approx(finest) and found.rate == pytest.approx(rate)
+    assert f"size^{rate:.1f} (as observed)" in describe_finest_error(found)
+
+
+def test_two_meshes_show_no_rate_so_that_a_slow_one_is_assumed():
+    first, second = (estimate_finest_error(order, [0.1, float("nan")]) for order in (1, 2))
+    assert first.error == pytest.approx(0.1) and second.error == pytest.approx(0.1 / (2**1.5 - 1))
+    assert "assumed" in describe_finest_error(second) and not second.is_observed
+    assert estimate_finest_error(2, [float("nan"), 0.5]) is None
+    assert estimate_finest_error(1, [0.0, 0.0]).error == 0.0
+
+
+@pytest.mark.parametrize("distances", [(0.5, 0.5), (0.5, 0.4), (0.4, 0.9)])
+def test_no_error_is_named_if_the_meshes_do_not_converge(distances):
+    found = estimate_finest_error(1, distances)
+    assert found.error is None and found.rate is None
+    assert "is unknown" in describe_finest_error(found) and "no convergence" in describe_finest_error(found)
 
 
 def measure_meshes(case, **keywords):
@@ -217,6 +236,27 @@ def test_the_named_error_of_the_finest_mesh_is_near_the_true_one(cases_folder):
     assert 0.5 < named / true < 2.0
     # and order 2 is in the asymptotic range: its finest mesh has an error of a few per cent at most
     assert both.estimate_reference_errors().mesh < 0.03 < true
+
+
+def test_costs_at_five_and_one_per_cent_are_told_for_both_orders(tmp_path, monkeypatch):
+    plan = SimpleNamespace(levels=(OWN, MeshLevel(1, 2)), tolerance=0.02)
+    rows = {1: make_row(4.0, 0.04), 2: make_row(0.5, 0.008)}
+    rows = {n: replace(row, setting=replace(row.setting, order=n)) for n, row in rows.items()}
+    rows = {n: replace(row, deviations={"total_worst_distance": (0.04, 0.008)[n - 1]}) for n, row in rows.items()}
+    finest = estimate_finest_error(2, [0.004, float("nan")])
+    table = SimpleNamespace(
+        plan=plan, find_mesh_error=lambda level: 0.03, estimate_reference_errors=lambda: SimpleNamespace(finest=finest)
+    )
+    monkeypatch.setattr(
+        "pipeline.studies.tradeoff.orders.list_choosable", lambda table, levels: [rows[levels[0].order]]
+    )
+    assert list_goals(0.02) == [0.05, 0.02, 0.01]
+    five, one = (describe_orders(table, goal) for goal in (0.05, 0.01))
+    assert five.startswith("5 % in total: order 1 4e+03 ms (bdf2, the linear law, consistent mass, order 1, dt")
+    assert five.endswith("order 1 costs 8 times as much")
+    assert "order 1 not reached" in one and "order 2 500 ms" in one and "times as much" not in one
+    finest = estimate_finest_error(2, [0.5, 0.5])
+    assert "not known to be that accurate" in describe_orders(table, 0.05)
 
 
 def test_costs_are_extrapolated_along_the_line_through_two_meshes():
@@ -419,6 +459,7 @@ def test_the_study_is_written_to_files(study):
         assert float(converged.model_worst_distance) == 0.0 < float(converged.motion_worst_distance)
         assert np.isnan(dataset.seconds.sel(**case, law="linear", rotation="polar", iterations="1"))
         assert float(dataset.total_worst_distance.sel(refinement=2).min()) == 0.0
+        assert float(dataset.total_drift.sel(refinement=2).min()) == 0.0 < float(dataset.total_drift.max())
     summary = json.loads((found.folder / "summary.json").read_text())
     assert summary["sentence"] == found.sentence and summary["failed"] == {}
     assert summary["first_mode"]["fewer"] > 10
@@ -571,7 +612,7 @@ def test_a_case_without_a_reference_does_not_stop_the_others(tmp_path, capsys, m
     def fail_if_bad(plan, folder, **keywords):
         if plan.case.name == "bad":
             raise SolveError("no reference")
-        return module.Tradeoff(folder, {}, "good: use this", (), ())
+        return module.Tradeoff(folder, None, {}, "good: use this", (), ())
 
     monkeypatch.setattr(module, "study_tradeoff", fail_if_bad)
     paths = [tmp_path / "bad.toml", tmp_path / "good.toml"]

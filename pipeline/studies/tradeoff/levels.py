@@ -45,8 +45,7 @@ def choose_levels(
         if (max(refinements) / factor) % 1:
             largest = f"{max(refinements):g}"
             raise case.make_error("mesh.cells", f"--refine {factor:g} does not divide {largest}: no common nodes")
-    if any(region.nodes is not None for region in (*case.supports, *case.loads.traction)):
-        reason = "a selection names nodes, whose numbers differ in a finer mesh"
+    if reason := _find_dependence(case):
         return (own,), (f"mesh error not available: {reason}",)
     chosen = {own}
     for order in orders or ((own.order,) if quick else ORDERS):
@@ -54,6 +53,19 @@ def choose_levels(
         chosen |= {MeshLevel(float(r), order) for r in wanted if _find_obstacle(case, r) is None}
     levels = tuple(sorted(chosen, key=lambda level: (level.order, level.refinement)))
     return levels, () if len(levels) > 1 else ("mesh error not available: one mesh only (--refine 2, --order 1 2)",)
+
+
+def _find_dependence(case: Case) -> str | None:
+    """Return why a finer mesh or another order would be another scene, None if it is the same."""
+    loads = case.loads
+    regions = {"supports": case.supports, "loads.traction": loads.traction, "loads.point": loads.point}
+    for key, entries in regions.items():
+        for number, entry in enumerate(entries):
+            if entry.nodes is not None:
+                return f"{key}.{number}.nodes names nodes, which differ in other meshes; select them by place"
+            if key == "loads.point" and not isinstance(entry.at, tuple):
+                return f"{key}.{number}.force acts on each selected node, of which other meshes have more; give a point"
+    return "loads.nodal_forces belong to the nodes of one mesh" if loads.nodal_forces is not None else None
 
 
 def _find_obstacle(case: Case, factor: float) -> str | None:

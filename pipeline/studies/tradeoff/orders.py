@@ -9,6 +9,7 @@ from pipeline.studies.tradeoff.settings import Setting
 from pipeline.studies.tradeoff.table import ErrorTable, SettingRow
 from pipeline.studies.tradeoff.verdict import describe_setting, find_cheapest, format_percent, list_choosable
 
+GOALS = (0.05, 0.01)  # total errors of which every report tells the cost
 _LEAST_RATE = 0.1  # of log error over log cost: slower convergence says nothing about finer meshes
 
 
@@ -55,18 +56,32 @@ def _extrapolate(points: Sequence[tuple[float, float]], tolerance: float) -> flo
     return dear * exp(log(fine / tolerance) / rate) if rate > _LEAST_RATE else float("inf")
 
 
-def describe_orders(costs: Sequence[OrderCost], tolerance: float) -> str:
-    """Return one sentence on the cost of order 1 over that of order 2."""
+def list_goals(tolerance: float) -> list[float]:
+    """Return the total errors whose costs are told: those of GOALS and the study's tolerance, largest first."""
+    return sorted({*GOALS, tolerance}, reverse=True)
+
+
+def describe_orders(table: ErrorTable, tolerance: float) -> str:
+    """Return one sentence on the cheapest setting of each order and their ratio; "" if there is only one order."""
+    costs, goal = find_order_costs(table, tolerance), format_percent(tolerance)
+    if not costs:
+        return ""
+    text = f"{goal} in total: {'; '.join(map(_describe_cost, costs))}"
     first, second = costs
-    goal = format_percent(tolerance)
-    if second.setting is None or not isfinite(first.seconds):
-        missing = [f"order {cost.order}" for cost in costs if cost.setting is None]
-        return f"orders: {goal} in total is not reached by {' and '.join(missing)}, nor can the cost be extrapolated"
-    how = "measured" if first.setting is not None else "extrapolated: it needs finer meshes than were run"
-    return (
-        f"orders: {goal} in total costs {first.seconds / second.seconds:.3g} times as much with order 1 ({how}) as "
-        f"with order 2 ({describe_setting(second.setting)})"
-    )
+    if second.setting is not None and isfinite(first.seconds):
+        text += f": order 1 costs {first.seconds / second.seconds:.3g} times as much"
+    finest = table.estimate_reference_errors().finest
+    if finest is not None and (finest.error is None or finest.error > tolerance):
+        text += "; but the finest mesh itself is not known to be that accurate"
+    return text
+
+
+def _describe_cost(cost: OrderCost) -> str:
+    if cost.setting is not None:
+        return f"order {cost.order} {1e3 * cost.seconds:.3g} ms ({describe_setting(cost.setting)})"
+    if isfinite(cost.seconds):
+        return f"order {cost.order} {1e3 * cost.seconds:.3g} ms (extrapolated: it needs finer meshes than were run)"
+    return f"order {cost.order} not reached, and not to be extrapolated"
 
 
 def list_order_front(table: ErrorTable, order: int) -> list[SettingRow]:

@@ -21,7 +21,7 @@ from pipeline.studies.tradeoff.front_figure import write_front_figure
 from pipeline.studies.tradeoff.mode_steps import find_steps_per_period
 from pipeline.studies.tradeoff.motion import make_task_settings, run_motion, run_race
 from pipeline.studies.tradeoff.order_figure import write_order_figure
-from pipeline.studies.tradeoff.orders import describe_orders, find_order_costs
+from pipeline.studies.tradeoff.orders import describe_orders, find_order_costs, list_goals
 from pipeline.studies.tradeoff.settings import LINEAR, REFERENCE_STEPPER, Plan, Setting, make_point_case
 from pipeline.studies.tradeoff.table import ErrorTable
 from pipeline.studies.tradeoff.verdict import (
@@ -29,6 +29,7 @@ from pipeline.studies.tradeoff.verdict import (
     MODE_BAR,
     AutoVerdict,
     describe_choice,
+    describe_finest_error,
     describe_setting,
     find_cheapest,
     find_front,
@@ -146,7 +147,7 @@ def _race_verdicts(plan: Plan, verdicts: list[AutoVerdict], folder: Path, schedu
 
 def _make_summary(table: ErrorTable, mode: dict[str, dict[str, Any]], verdicts: list[AutoVerdict]) -> dict[str, Any]:
     """Return all results but the rows themselves, which are in tradeoff.nc."""
-    plan, rows = table.plan, list_choosable(table)
+    plan, rows, reference = table.plan, list_choosable(table), table.estimate_reference_errors()
     own = table.find_row(plan.case_setting)
     chosen = find_cheapest(rows, plan.tolerance)
     all_meshes = list_choosable(table, plan.levels)
@@ -160,13 +161,18 @@ def _make_summary(table: ErrorTable, mode: dict[str, dict[str, Any]], verdicts: 
         "simulated_seconds": plan.interval * plan.frames,
         "reference": {
             "setting": asdict(plan.make_reference(plan.finest)),
-            **asdict(table.estimate_reference_errors()),
+            **asdict(reference),
+            "mesh": reference.mesh,
         },
         "choice": row_to_dict(chosen),
         "choice_for_a_tenth": row_to_dict(find_cheapest(rows, plan.tolerance / 10)),
         "choice_with_the_mesh": row_to_dict(find_cheapest(all_meshes, plan.tolerance, "total")),
         "front": [row_to_dict(row) for row in find_front(rows)],
-        "orders": [asdict(cost) for cost in find_order_costs(table, plan.tolerance)],
+        "orders": [
+            {"goal": goal, **asdict(cost)}
+            for goal in list_goals(plan.tolerance)
+            for cost in find_order_costs(table, goal)
+        ],
         "own": row_to_dict(own),
         "own_error_parts": None if parts is None else asdict(parts) | {"dominant": parts.dominant},
         "auto": [asdict(verdict) for verdict in verdicts],
@@ -191,13 +197,12 @@ def _list_lines(table: ErrorTable, summary: dict[str, Any], worst: AutoVerdict |
     step = f"dt = {plan.make_reference(plan.own).dt:.3g} s"
     error = f"its own error is about {_format_error(reference.time)}{order}"
     lines = [f"reference: {REFERENCE_STEPPER}, converged, {step}; {error}"]
-    if reference.mesh is not None:
-        lines.append(f"finest mesh: {plan.finest}; its own error is about {_format_error(reference.mesh)}")
+    if reference.finest is not None:
+        lines.append(f"finest mesh: {plan.finest}; {describe_finest_error(reference.finest)}")
     if parts is not None:
         text = ", ".join(f"{name} {_format_error(parts[name])}" for name in ("model", "dt", "mesh"))
         lines.append(f"the case as it is: {text}; {parts['dominant']} dominates")
-    if costs := find_order_costs(table, plan.tolerance):
-        lines.append(describe_orders(costs, plan.tolerance))
+    lines += filter(None, (describe_orders(table, goal) for goal in list_goals(plan.tolerance)))
     lines += _list_bar_lines(summary, worst)
     if summary["failed"]:
         lines.append(f"{len(summary['failed'])} of {len(table.rows)} settings failed: see summary.json")

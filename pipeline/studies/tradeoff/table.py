@@ -2,7 +2,7 @@
 
 model    from the converged solution with the same stepper, dt, mesh and mass: the error of law and iterations
 motion   from the converged solution of a small step on the same mesh: that error and those of stepper, dt and mass
-total    from that reference on the finest mesh, at the common nodes: those errors and that of the mesh
+total    from that reference on the finest mesh, at the common nodes and in total volume: those and the mesh's error
 
 The finest mesh has an error of its own, estimated from how references on coarser meshes of its order approach it.
 """
@@ -28,10 +28,13 @@ from pipeline.studies.tradeoff.deviation import (
     measure_deviation,
     measure_distances,
 )
+from pipeline.studies.tradeoff.finest_error import FinestError, estimate_finest_error
 from pipeline.studies.tradeoff.levels import MeshLevel, match_nodes
 from pipeline.studies.tradeoff.motion import COUNTS, RecordedMotion, read_motion
 from pipeline.studies.tradeoff.settings import REFERENCE_STEPPER, Plan, Setting, make_point_case
 
+# meshes share nodes but no cells
+TOTALS = (*DISTANCES, "drift")
 REFERENCES = ("model", "motion", "total")
 
 
@@ -73,7 +76,12 @@ class ReferenceErrors:
 
     time: float | None
     order: float | None
-    mesh: float | None
+    finest: FinestError | None
+
+    @property
+    def mesh(self) -> float | None:
+        """Return the error of the finest mesh; None if it is not known."""
+        return None if self.finest is None else self.finest.error
 
 
 class ErrorTable:
@@ -122,21 +130,11 @@ class ErrorTable:
         row = self.find_row(setting.as_converged())
         return row.compute_error("motion") if row else float("nan")
 
-    def _estimate_mesh_error(self) -> float | None:
-        """Return the error of the finest mesh, from coarser meshes of its order whose cells are 2 and 4 times as large.
-
-        Distances from the finest mesh give the observed rate of convergence; with one coarser mesh it is assumed to be
-        the order, which is what bodies with edges at supports reach.
-        """
+    def _estimate_mesh_error(self) -> FinestError | None:
+        """Return the error of the finest mesh, from those of its order with cells 2 and 4 times as large."""
         finest = self.plan.finest
-        distances = [self.find_mesh_error(MeshLevel(finest.refinement / part, finest.order)) for part in (2, 4)]
-        if not np.isfinite(distances[0]):
-            return None
-        ratio = 2.0**finest.order
-        if np.isfinite(distances[1]) and distances[0] > 0:
-            # with errors e, e ratio and e ratio^2 these distances are e (ratio - 1) and e (ratio^2 - 1)
-            ratio = float(np.clip(distances[1] / distances[0] - 1, 2**_LEAST_ORDER, 2.0 ** (finest.order + 1)))
-        return distances[0] / (ratio - 1)
+        coarser = [MeshLevel(finest.refinement / part, finest.order) for part in (2, 4)]
+        return estimate_finest_error(finest.order, [self.find_mesh_error(level) for level in coarser])
 
     def _read(self, setting: Setting) -> RecordedMotion | None:
         result = self._results.get(setting.key, {"error": "not run"})
@@ -165,6 +163,7 @@ class ErrorTable:
         finest = self._motion(self.plan.make_reference(self.plan.finest))
         if finest is not None and len(self.plan.levels) > 1:
             measures = measure_distances(motion, finest, self._nodes[setting.level])
+            measures["drift"] = float(np.abs(motion.drift - finest.drift).max())
             deviations |= {f"total_{key}": value for key, value in measures.items()}
         return SettingRow(setting, self._list_costs(result), deviations)
 
@@ -184,5 +183,5 @@ class ErrorTable:
 def list_deviations(table: ErrorTable) -> list[str]:
     """Return the names of the deviations that any row has, in order."""
     present = {name for row in table.rows for name in row.deviations}
-    names = [f"{r}_{m}" for r in REFERENCES for m in (DISTANCES if r == "total" else MEASURES)]
+    names = [f"{r}_{m}" for r in REFERENCES for m in (TOTALS if r == "total" else MEASURES)]
     return [name for name in names if name in present]

@@ -7,6 +7,7 @@ from typing import Any
 
 from pipeline.problem.methods import STEPPERS
 from pipeline.studies.tradeoff.deviation import VOLUME_SHARE
+from pipeline.studies.tradeoff.finest_error import FinestError
 from pipeline.studies.tradeoff.levels import MeshLevel
 from pipeline.studies.tradeoff.settings import AUTO, Setting
 from pipeline.studies.tradeoff.table import ErrorTable, SettingRow
@@ -163,6 +164,15 @@ def _describe_nearest(rows: Sequence[SettingRow]) -> str:
 def _compare_costs(tighter: SettingRow, chosen: SettingRow) -> str:
     ratio = tighter.costs["seconds"] / chosen.costs["seconds"]
     return "no more" if ratio <= 1 else f"{ratio:.2g} times as much"
+
+
+def describe_finest_error(finest: FinestError) -> str:
+    """Return the error of the finest mesh and the ground of its estimate."""
+    if finest.error is None:
+        seen = " and ".join(map(format_percent, finest.distances))
+        return f"its own error is unknown: coarser meshes are {seen} away, which is no convergence; refine further"
+    ground = "as observed" if finest.is_observed else "assumed, since two meshes do not show it"
+    return f"its own error is about {format_percent(finest.error)}, if it falls with size^{finest.rate:.1f} ({ground})"
 
 
 def format_percent(value: float) -> str:
