@@ -26,7 +26,7 @@ class PlainStep:
     def __init__(self, body: Body, dt: float, solver: str, rtol: float = 1e-6) -> None:
         self.body, self.dt, self.solver, self.rtol = body, dt, solver, rtol
         d, n = body.mesh.dimension, len(body.mesh.points)
-        self.free = (d * body.free[:, None] + np.arange(d)).ravel()
+        self.free = body.free_components
         dofs = (d * body.mesh.cells[:, :, None] + np.arange(d)).reshape(len(body.mesh.cells), -1)
         k = dofs.shape[1]
         keys = np.repeat(dofs, k, axis=1).ravel() * (d * n) + np.tile(dofs, (1, k)).ravel()

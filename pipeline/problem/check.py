@@ -35,6 +35,7 @@ class Check:
     nodes: int
     cells: int
     held: int
+    guided: int
     components: int
     total_volume: float
     smallest_volume: float
@@ -67,6 +68,7 @@ def check_problem(problem: Problem) -> Check:
         nodes=len(mesh.points),
         cells=len(mesh.cells),
         held=len(body.supports.nodes),
+        guided=0 if body.guide_cut is None else len(body.guide_cut.rows),
         components=label_components(mesh)[0],
         total_volume=float(mesh.rest_volumes.sum()),
         smallest_volume=float(mesh.rest_volumes.min()),
@@ -111,7 +113,8 @@ def format_check(check: Check, problem: Problem) -> list[str]:
     kind, unit = ("tetrahedra", "m3") if check.dimension == 3 else ("triangles", "m2")
     order = f" of order {problem.body.mesh.order}" if problem.body.mesh.order > 1 else ""
     rows = [
-        f"nodes        {check.nodes}, of which {check.held} are held",
+        f"nodes        {check.nodes}, of which {check.held} are held"
+        + (f", {check.guided} along some axes only" if check.guided else ""),
         f"{kind:<12} {check.cells}{order} in {check.components} component{'s' * (check.components > 1)}",
         f"volume       {check.total_volume:.6g} {unit}; "
         f"cells from {check.smallest_volume:.4g} to {check.largest_volume:.4g}",

@@ -3,7 +3,8 @@ r"""Rayleigh damping in implicit stages: C = alpha M + beta K'(x_c), frozen with
     M (v - v_h) = h (f_ext + f_el(x_h + h v) - C v)
 
 x_c is the place at which v = (x - x_h)/h is a velocity: the predicted middle of the step in backward Euler, the
-extrapolated end in BDF2. So a rigid rotation by the angle t in a step has a rate of strain of order t^3/h, not t^2/h.
+extrapolated end in BDF2. So a rigid rotation by the angle t in a step has a rate of strain of order t^4/h and t^3/h,
+not t^2/h.
 C does not depend on x, so the stage keeps a potential, with the dissipation (x - x_h) . C (x - x_h) / (2 h) added.
 
 A first solve of backward Euler moves nodes along the tangent of a rotation at x_n, not the secant: its x_c is x_n.

@@ -22,7 +22,7 @@ from pipeline.stepping.damping import FrozenDamping
 from pipeline.stepping.energy_guard import work_of_supports
 from pipeline.stepping.state import State
 from pipeline.stepping.symplectic_euler import element_limit, true_limit
-from tests.bodies import build_problem, list_states, make_solid, make_spin, write_case
+from tests.bodies import build_problem, list_states, make_rotation, make_solid, make_spin, write_case
 
 BOTH = Rayleigh(3.0, 2e-3)
 SHAPES = {"space": box((1.0, 3.0, 1.0), (1, 3, 1)), "plane": rectangle((1.0, 3.0), (1, 3))}
@@ -208,6 +208,22 @@ def test_beta_does_not_damp_a_rotation(shape, order, stepper, way):
     for end in ends:  # tan^2 of .025 is 6.3e-4; one solve of a body with beta = dt keeps twice that
         ratio = np.linalg.det(deformation_gradient(body.mesh, end.x))
         assert np.abs(ratio - 1).max() < (1.4e-3 if way in ({"iterations": 1}, {"model": "auto"}) else 7e-4)
+
+
+@SHAPE
+@ORDER
+def test_the_damping_force_of_a_rotation_is_of_fourth_order(shape, order):
+    """Frozen in the middle of the step from x_n, a rigid rotation by t has a force of order t^4; at x_n it is t^2."""
+    body, h, forces = make_beam(shape, "corotational", order, held=False, damping=Rayleigh(0.0, 1.0)), 0.1, []
+    assert body.damping is not None
+    frozen, X = FrozenDamping(body, body.damping), body.mesh.points
+    for angle in (0.2, 0.1, 0.05):
+        frozen.freeze_middle(X, make_spin(body, np.array([0.0, 0.0, angle / h])), h)
+        Q = make_rotation(X.shape[1], [0.0, 0.0, 1.0], angle)
+        forces.append(np.linalg.norm(frozen.multiply(X @ Q.T - X)) / h)
+        frozen.freeze(X, h)
+        assert forces[-1] < 0.2 * np.linalg.norm(frozen.multiply(X @ Q.T - X)) / h
+    assert forces[0] / forces[1] == pytest.approx(16, rel=0.02) and forces[1] / forces[2] == pytest.approx(16, rel=0.01)
 
 
 @pytest.mark.parametrize("beta", [0.05, 0.5])

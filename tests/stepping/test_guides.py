@@ -11,6 +11,7 @@ from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.quadratic import raise_order
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.mesh.simplex import Mesh
+from pipeline.problem.check import check_problem, format_check
 from pipeline.problem.methods import LINEAR_SOLVERS, MODE_FACTORS
 from pipeline.problem.problem import Problem, build
 from pipeline.run.frame_iterator import frames
@@ -327,3 +328,5 @@ def test_the_body_says_how_many_components_its_guides_hold(tmp_path):
     one = build_problem(tmp_path, supports=[{"plane": "y", "at": 0.0, "components": ["x", "y"]}])
     assert repr(one.body.supports) == "<Supports: 0 held nodes, 0 motions, <Guides: 8 held components, 0 motions>>"
     assert len(one.body.free_components) == one.body.mesh.points.size - 8
+    row = "nodes        16, of which 0 are held, 4 along some axes only"
+    assert row in format_check(check_problem(one), one)
