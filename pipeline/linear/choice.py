@@ -23,7 +23,8 @@ _CHANGING_BAND = 0.5
 _WARPED_BAND = 40.0
 # ms a step of a constant matrix, SuperLU and multigrid: 37 and 50 at 192 MB, 139 and 115 at 624 MB
 _LU_BAND = 400.0
-# bytes over dofs^(4/3) of a factor in single precision by nested dissection, measured at 10k and 100k tetrahedra
+# bytes over dofs^(4/3) of a factor in single precision by nested dissection, measured at 10k and 100k tetrahedra; with
+# order 2 MKL's factor is .86, 1.02 and 1.13 times that at 1152, 9984 and 34 560 cells
 _FACTOR_BYTES = 63.0
 # bytes that a cycle reads, over those of the lower blocks in single precision, at a million tetrahedra
 _CYCLE_BYTES = 2.5

@@ -6,7 +6,9 @@ import pytest
 from pipeline.case import MethodSpec
 from pipeline.fem.body import Body
 from pipeline.linear import multigrid
+from pipeline.linear.choice import estimate_factor_bytes
 from pipeline.linear.multigrid import Cycle, make_rigid_modes
+from pipeline.linear.pardiso import PardisoFactor
 from pipeline.mesh.quadratic import find_side_ends, raise_order
 from pipeline.mesh.shapes import box, rectangle
 from pipeline.problem.methods import LINEAR_SOLVERS
@@ -90,6 +92,16 @@ def test_iterations_are_nearly_those_of_linear_tetrahedra_with_as_many_nodes(sol
     expected = ITERATIONS[solver]
     assert abs(one - expected[0]) <= 1 + 0.05 * expected[0] and abs(two - expected[1]) <= 1 + 0.05 * expected[1]
     assert two <= 1.35 * one
+
+
+def test_the_estimate_of_a_sparse_factor_is_that_of_mkl() -> None:
+    body = make_beam((4, 12, 4))
+    A = np.empty_like(body.mass)
+    body.assemble_system(body.mesh.points, H, np.empty_like(body.mesh.points), A)
+    factor = PardisoFactor(body.free_pattern, np.float64)
+    factor._options[17] = -1  # report the entries of the factor
+    factor.update(A[: body.free_pattern.blocks])
+    assert 8 * factor._options[17] == pytest.approx(estimate_factor_bytes(body.free_pattern, "pardiso"), rel=0.3)
 
 
 # The cycle of order 2
