@@ -111,6 +111,19 @@ def test_a_planar_run_of_order_two_is_bit_identical(tmp_path, monkeypatch):
     assert_same_results(whole.folder, folder)
 
 
+@pytest.mark.parametrize("method", ["polar", "bdf2_converged", "auto_bdf2", "symplectic_euler"])
+def test_damped_runs_on_rollers_resume_bit_identically(tmp_path, monkeypatch, method):
+    material = {**case_document()["material"], "mass_damping": 0.5}  # type: ignore[dict-item]  # a table
+    if method != "symplectic_euler":
+        material["stiffness_damping"] = 1e-3
+    supports = [{"plane": "y", "at": 3.0, "components": ["y"]}, {"nodes": [0]}]
+    path = write_one_variant(tmp_path, METHODS[method], material=material, supports=supports)
+    whole = solve(path, tmp_path / "whole").variants[0]
+    folder = stop_after(path, tmp_path / "parts", 5, monkeypatch)
+    solve(path, tmp_path / "parts", resume=True)
+    assert_same_results(whole.folder, folder)
+
+
 def test_another_order_is_not_resumed(tmp_path, monkeypatch):
     path = write_one_variant(tmp_path, {})
     stop_after(path, tmp_path / "parts", 5, monkeypatch)
