@@ -32,7 +32,7 @@ from pipeline.fem.element import (
 from pipeline.fem.frame_error import FrameError, measure_frame_error, spurious_volume
 from pipeline.fem.guides import GuideCut
 from pipeline.fem.laws import Law, Tangent
-from pipeline.fem.mass import MassModel
+from pipeline.fem.mass import MassModel, lump_masses
 from pipeline.fem.material import Material
 from pipeline.fem.rotation import polar
 from pipeline.fem.supports import Supports
@@ -145,7 +145,7 @@ class Body:
     @cached_property
     def lumped_mass(self) -> Floats:
         """Return the masses of the nodes (n,) [kg], all positive; their sum is that of M."""
-        return self.material.density * self.mesh.lumped_volumes
+        return lump_masses(self.mesh, self.material.density)
 
     @cached_property
     def mass_bound(self) -> Floats:
@@ -163,8 +163,10 @@ class Body:
         """
         m, (weights, gradients) = self.material, self.mesh.integration
         squares = np.einsum("eq,eqai,eqai->ea", weights, gradients, gradients)
-        largest = (squares / self.mesh.lumped_shares).sum(axis=1).max()
-        return float(np.sqrt((m.lam + 2 * m.mu) * largest / m.density))
+        ratios = (squares / self.mesh.lumped_shares).sum(axis=1)
+        if isinstance(m.wave_modulus / m.density, np.ndarray):
+            return float(np.sqrt((m.wave_modulus * ratios / m.density).max()))
+        return float(np.sqrt(m.wave_modulus * ratios.max() / m.density))
 
     @property
     def site_count(self) -> int:

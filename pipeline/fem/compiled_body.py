@@ -9,9 +9,10 @@ import numpy as np
 from pipeline.arrays import Floats, Ints
 from pipeline.fem.assembly import sort_corners
 from pipeline.fem.body import Body
-from pipeline.fem.frame_error import FrameError, indicator, spurious_volume
+from pipeline.fem.frame_error import FrameError, indicator, scale_moduli, spurious_volume
 from pipeline.fem.kernels import IDENTITY, POLAR
 from pipeline.fem.laws import CREASE, Corotational, Law, Linear, Tangent
+from pipeline.fem.material import MaterialValues
 
 
 class KernelSet(NamedTuple):
@@ -77,9 +78,30 @@ class CompiledBody(Body):
         """
         m, (weights, gradients) = self.material, self.mesh.integration
         cells, G = self._arrange_gradients(gradients)
+        lanes = self._fill_values(m.mu, weights.shape[1]), self._fill_values(m.lam, weights.shape[1])
         if self.mesh.order == 1:
-            return (cells, G[:, 0] if self.mesh.dimension == 2 else G, self.mesh.rest_volumes, m.mu, m.lam)
-        return (cells, G, weights, m.mu, m.lam, self.formulation.volumetric == "mean")
+            return (cells, G[:, 0] if self.mesh.dimension == 2 else G, self.mesh.rest_volumes, *lanes)
+        return (cells, G, weights, *lanes, self.formulation.volumetric == "mean")
+
+    def _fill_values(self, values: MaterialValues, q: int) -> Floats:
+        """Return values (m,) for kernels, of each cell; in space (m, LANES), of q points per cell.
+
+        m is 1 if all cells have the same value.
+        """
+        if self.mesh.dimension == 2:
+            return np.atleast_1d(values)
+        points = np.repeat(values, q) if isinstance(values, np.ndarray) else np.array([values])
+        from pipeline.fem.kernels.rotation import LANES
+
+        blocks = -(-len(points) // LANES) if isinstance(values, np.ndarray) else 1
+        return np.asarray(points[np.minimum(np.arange(blocks * LANES), len(points) - 1)].reshape(blocks, LANES))
+
+    @cached_property
+    def _strays(self) -> tuple[Floats, Floats, float]:
+        """Return mu and lam at the sites for frame errors, and the modulus by which their stresses are divided."""
+        mu, lam, modulus = scale_moduli(self.material)
+        q = self.site_count // len(self.mesh.cells)
+        return self._fill_values(mu, q), self._fill_values(lam, q), modulus
 
     @cached_property
     def _sites(self) -> tuple[Any, ...]:
@@ -132,7 +154,7 @@ class CompiledBody(Body):
             # on no cells: R is empty, and kernels check no bounds
             no_sites = (*(part[:0] for part in self._sites[:2]), *self._sites[2:])
             self._modules.sums.rotations(X, *no_sites, self._rotation, nothing)
-            sites = (cells[:0], G[:0], *self._sites[2:], *rest[:2])
+            sites = (cells[:0], G[:0], *self._sites[2:], *self._strays[:2])
             self._modules.frame_errors.bound_frame_error(X, *sites)
             self._modules.frame_errors.measure_frame_error(X, *sites, nothing, nothing)
         if tangents or not solves:
@@ -176,21 +198,21 @@ class CompiledBody(Body):
         """Write the rotations at x into reached (s, d, d); return their frame error from those used."""
         if self._rotation != POLAR or self.groups is not None:  # the kernels take every point's own dilatation
             return super().measure_frame_error(x, used, reached)
+        mu, lam, modulus = self._strays
         before, d = self._no_rotations if used is None else used, x.shape[1]
         trace, stress, own = self._modules.frame_errors.measure_frame_error(
-            _to_contiguous(x), *self._sites, *self._cells[3:5], before, reached
+            _to_contiguous(x), *self._sites, mu, lam, before, reached
         )
-        return FrameError(indicator(trace, d, stress, self.material), spurious_volume(own, d))
+        return FrameError(indicator(trace, d, stress, modulus), spurious_volume(own, d))
 
     def bound_frame_error(self, x: Floats) -> float:
         """Return an upper bound on the indicator of measure_frame_error(x, None) that needs no rotations."""
         if self._rotation != POLAR or self.groups is not None:
             return super().bound_frame_error(x)
-        tangent, stress = self._modules.frame_errors.bound_frame_error(
-            _to_contiguous(x), *self._sites, *self._cells[3:5]
-        )
+        mu, lam, modulus = self._strays
+        tangent, stress = self._modules.frame_errors.bound_frame_error(_to_contiguous(x), *self._sites, mu, lam)
         cosine = (1 - tangent**2) / (1 + tangent**2)  # of the angle, from the tangent of half of it
-        return indicator(2 * cosine + x.shape[1] - 2, x.shape[1], stress, self.material)
+        return indicator(2 * cosine + x.shape[1] - 2, x.shape[1], stress, modulus)
 
     def force(self, x: Floats, R: Floats | None = None, *, out: Floats | None = None) -> Floats:
         """Return the elastic forces ON the nodes (n, d) [N]; if R is given and the order 1, with numpy as in Body."""

@@ -31,7 +31,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from pipeline.arrays import Floats
-from pipeline.fem.material import Material
+from pipeline.fem.material import Material, align_values
 from pipeline.fem.rotation import POLAR_ROTATION, Rotation
 
 Tangent = Literal["frozen", "projected", "exact"]
@@ -95,8 +95,8 @@ class Linear:
 
     def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen", dilatation: Floats | None = None) -> Floats:
         """Return the elasticity tensor (e, d, d, d, d) [Pa], the same for every F and R."""
-        tensor = make_elasticity_tensor(F.shape[-1], self.material, has_trace=dilatation is None)
-        return np.broadcast_to(tensor, F.shape + F.shape[-2:])
+        C = make_elasticity_tensor(F.shape[-1], self.material.spread(len(F)), has_trace=dilatation is None)
+        return np.broadcast_to(C, F.shape + F.shape[-2:])
 
 
 @dataclass(frozen=True)
@@ -126,8 +126,8 @@ class Corotational:
     def tangent(self, F: Floats, R: Floats, kind: Tangent = "frozen", dilatation: Floats | None = None) -> Floats:
         """Return dP/dF (e, d, d, d, d) [Pa]; `exact` and `projected` are for the polar R only."""
         d = F.shape[-1]
-        C = make_elasticity_tensor(d, self.material, has_trace=dilatation is None)
-        half = (R @ C.reshape(d, d**3)).reshape(-1, d, d, d, d)  # R_iI C_IJKL
+        C = make_elasticity_tensor(d, self.material.spread(len(F)), has_trace=dilatation is None)
+        half = (R @ C.reshape(*C.shape[:-4], d, d**3)).reshape(-1, d, d, d, d)  # R_iI C_IJKL
         frozen = R[:, None, None] @ half  # R_kK R_iI C_IJKL
         if kind == "frozen":
             return frozen
@@ -139,15 +139,15 @@ class Corotational:
 
     def _find_rotation_modes(self, F: Floats, R: Floats, dilatation: Floats | None) -> tuple[Floats, Floats]:
         """Return mu + c/A_i (e, m) and the T_i (e, m, d, d) with T_i : dF = q_i . axial(R^T dF - dF^T R)."""
-        mu, lam = self.material.mu, self.material.lam
-        d = F.shape[-1]
+        d, m = F.shape[-1], self.material.spread(len(F))
+        mu, lam = (align_values(values, 1) for values in (m.mu, m.lam))
         S = _compute_strain(_transpose(R) @ F) + np.eye(d)
-        trace = np.trace(S, axis1=1, axis2=2)
-        c = (lam * (trace - d if dilatation is None else dilatation) - 2 * mu)[:, None]
+        trace = _compute_trace(S)[:, None]
+        c = lam * (trace - d if dilatation is None else dilatation[:, None]) - 2 * mu
         if d == 2:
-            A, mode = trace[:, None], (R @ _GENERATOR_2D)[:, None]
+            A, mode = trace, (R @ _GENERATOR_2D)[:, None]
         else:
-            A, q = np.linalg.eigh(trace[:, None, None] * np.eye(3) - S)
+            A, q = np.linalg.eigh(trace[:, :, None] * np.eye(3) - S)
             mode = R[:, None] @ np.tensordot(np.swapaxes(q, 1, 2), _GENERATORS_3D, axes=1)
         return mu + c / np.maximum(A, np.maximum(np.abs(c) / (CREASE * mu), np.finfo(float).tiny)), mode
 
@@ -155,11 +155,12 @@ class Corotational:
 def make_elasticity_tensor(d: int, material: Material, *, has_trace: bool = True) -> Floats:
     """Return the isotropic C_IJKL = mu (d_IK d_JL + d_IL d_JK) + lam d_IJ d_KL (d, d, d, d) [Pa].
 
-    Without the trace it has only the first term.
+    Without the trace it has only the first term. It has an axis of cells (e,) in front if the material has.
     """
     delta = np.eye(d)
     shear = np.einsum("ik,jl->ijkl", delta, delta) + np.einsum("il,jk->ijkl", delta, delta)
-    return material.mu * shear + (material.lam if has_trace else 0.0) * np.einsum("ij,kl->ijkl", delta, delta)
+    mu, lam = (align_values(values, 4) for values in (material.mu, material.lam if has_trace else 0.0))
+    return np.asarray(mu * shear + lam * np.einsum("ij,kl->ijkl", delta, delta))
 
 
 # component m of axial(R^T dF - dF^T R) is (R L_m) : dF with these generators L_m of rotations
@@ -182,13 +183,14 @@ def _compute_trace(strain: Floats) -> Floats:
 
 
 def _compute_stress(strain: Floats, material: Material, dilatation: Floats | None) -> Floats:
-    trace = _compute_trace(strain) if dilatation is None else dilatation
-    return 2 * material.mu * strain + material.lam * trace[:, None, None] * np.eye(strain.shape[-1])
+    trace, m = _compute_trace(strain) if dilatation is None else dilatation, material.spread(len(strain))
+    mu, lam = (align_values(values, 2) for values in (m.mu, m.lam))
+    return np.asarray(2 * mu * strain + lam * trace[:, None, None] * np.eye(strain.shape[-1]))
 
 
 def _compute_energy(strain: Floats, material: Material, dilatation: Floats | None) -> Floats:
-    trace = _compute_trace(strain) if dilatation is None else dilatation
-    return material.mu * (strain**2).sum(axis=(1, 2)) + material.lam / 2 * trace**2
+    trace, m = _compute_trace(strain) if dilatation is None else dilatation, material.spread(len(strain))
+    return np.asarray(m.mu * (strain**2).sum(axis=(1, 2)) + m.lam / 2 * trace**2)
 
 
 def _transpose(F: Floats) -> Floats:

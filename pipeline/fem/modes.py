@@ -21,7 +21,7 @@ def find_lowest_frequencies(body: Body, count: int = 1) -> tuple[Floats, Floats]
     """
     K, M = _assemble_free_matrices(body)
     d = body.mesh.dimension
-    scale = (body.material.wave_speed / body.mesh.size) ** 2
+    scale = (body.material.slowest_wave_speed / body.mesh.size) ** 2
     extra = d * (d + 1) // 2 * label_components(body.mesh)[0]
     wanted = count + extra
     if wanted >= K.shape[0] - 1:

@@ -12,6 +12,7 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
+from pipeline.fem.material import integrate_values
 from pipeline.stepping.report import LINEAR, StepReport
 from pipeline.stepping.state import EnergyRecord, Memory, State, Stepper
 
@@ -103,8 +104,8 @@ class EnergyGuard:
 
 def natural_energy(body: Body) -> float:
     """Return the energy [J] below which a motion is rounding noise to a user."""
-    m = body.material
-    return _NATURAL_STRAIN**2 * (m.lam + 2 * m.mu) * float(body.mesh.rest_volumes.sum())
+    modulus, volumes = body.material.wave_modulus, body.mesh.rest_volumes
+    return integrate_values(_NATURAL_STRAIN**2 * modulus, volumes)
 
 
 def work_of_varying_load(body: Body, old: State, new: State, dt: float) -> float:

@@ -29,6 +29,7 @@ from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.laws import Tangent
+from pipeline.fem.material import integrate_values
 from pipeline.linear.solver import LinearSolver
 from pipeline.linear.work import Work
 from pipeline.stepping.report import StepReport
@@ -78,11 +79,10 @@ class Converged:
         self.system = StageSystem(body, solver)
         m, X = body.material, body.mesh.points
         # the force of a unit strain, the scale of rounding
-        self._stiff = (2 * m.mu + abs(m.lam)) * body.mesh.rest_volumes.max() ** (
-            (body.mesh.dimension - 1) / body.mesh.dimension
-        )
+        modulus, V, d = 2 * m.mu + np.abs(m.lam), body.mesh.rest_volumes, body.mesh.dimension
+        self._stiff = float(np.max(modulus)) * V.max() ** ((d - 1) / d)
         # the energy of a unit strain everywhere [J], and the strain that rounding of positions causes
-        self._full = (2 * m.mu + abs(m.lam)) * float(body.mesh.rest_volumes.sum())
+        self._full = integrate_values(modulus, V)
         # rates of strain count as strains if a body is damped
         self._rate = 0.0 if body.damping is None else body.damping.stiffness
         steepest = float(np.abs(body.mesh.integration.gradients).max())

@@ -21,6 +21,7 @@ from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
 from pipeline.fem.element import stiffness_blocks
+from pipeline.fem.material import align_values
 from pipeline.linear.work import Work
 from pipeline.stepping.inversion import Treatment, track_rotations
 from pipeline.stepping.parts import StepperParts
@@ -125,4 +126,4 @@ def _cell_matrices(body: Body) -> tuple[Floats, Floats]:
     identity = np.broadcast_to(np.eye(d), (mesh.integration.weights.size, d, d))
     # a mean dilatation only lowers the energy: (sum w theta)^2 / V <= sum w theta^2
     K = stiffness_blocks(mesh, body.law.tangent(identity, identity)).reshape(e, k * d, k * d)
-    return K, np.repeat(body.material.density * mesh.lumped_shares, d, axis=1)
+    return K, np.repeat(align_values(body.material.density, 1) * mesh.lumped_shares, d, axis=1)

@@ -79,8 +79,8 @@ def test_the_compiled_bound_of_angles_is_that_of_its_formula(turn: float) -> Non
     body = make_solid(box([1.0, 2.0, 1.5], [2, 3, 2]), "corotational", held=[])
     assert isinstance(body, CompiledBody)
     x = body.mesh.points @ rotation_about(np.array([1.0, 2.0, -1.0]), turn).T
-    cells, G, _, mu, lam = body._cells
-    tangent, _ = body._frame_error_kernels.bound_frame_error(x, cells, G, mu, lam)
+    (cells, G, *_), (mu, lam, _) = body._cells, body._strays
+    tangent, _ = body._modules.frame_errors.bound_frame_error(x, cells, G, mu, lam)
     assert tangent == pytest.approx(np.tan(turn) / 2, rel=1e-6)  # |a| / (2 (tr S - s)) with s = 1, the axis
 
 

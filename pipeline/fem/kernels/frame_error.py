@@ -45,8 +45,9 @@ def measure_frame_error(x, cells, G, mu, lam, used, reached):
         find_polar_rotations(F, count, R, root, good, C)
         if len(used) > 0:
             load_lanes(used, first, count, U)
-        compute_stresses(F, R, mu, lam, P, W)
-        compute_stresses(F, U, mu, lam, Q, W)
+        row = min(first // LANES, len(mu) - 1)
+        compute_stresses(F, R, mu[row], lam[row], P, W)
+        compute_stresses(F, U, mu[row], lam[row], Q, W)
         compare_rotations(R, U, P, Q, count, worst)
         store_lanes(R, first, count, reached)
     return worst[0] + worst[3], np.sqrt(worst[1]), worst[2] + worst[3]
@@ -96,4 +97,4 @@ def bound_frame_error(x, cells, G, mu, lam):
     for first in range(0, len(cells), LANES):
         compute_gradients(x, cells, G[first // LANES], first, D, F)
         accumulate_bounds(F, tangents, strains)
-    return bound_stress(tangents, strains, mu, lam)
+    return bound_stress(tangents, strains, np.max(mu), np.max(lam))

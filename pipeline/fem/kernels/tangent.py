@@ -83,9 +83,10 @@ def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projec
         count = min(LANES, len(V) - first)
         compute_gradients(x, cells, G[first // LANES], first, R, F)
         find_polar_rotations(F, count, R, root, good, C)
+        row = min(first // LANES, len(mu) - 1)
         for l in range(count):
-            trace = measure_stretch(F, R, l, S)
-            find_rotation_factors(S, mu, lam * (trace - 3.0) - 2.0 * mu, crease, projected, Q, H)
+            trace, m = measure_stretch(F, R, l, S), mu[row, l]
+            find_rotation_factors(S, m, lam[row, l] * (trace - 3.0) - 2.0 * m, crease, projected, Q, H)
             _cross_gradients(G[first // LANES], R, l, w)
             _add_squares(scale * V[first + l], H, w, pairs[first + l], A)
 

@@ -68,6 +68,7 @@ def add_rotation_stiffness(x, cells, G, weights, mu, lam, is_mean, pairs, scale,
         count = min(LANES, e * q - first)
         compute_gradients(x, cells, G[first // LANES], first, q, D, F)
         find_polar_rotations(F, count, R, root, good, C)
+        row = min(first // LANES, len(mu) - 1)
         if is_mean:
             average_dilatations(F, R, weights, first, count, theta)
         for l in range(count):
@@ -75,7 +76,8 @@ def add_rotation_stiffness(x, cells, G, weights, mu, lam, is_mean, pairs, scale,
             dilatation = measure_stretch(F, R, l, S) - 3.0
             if is_mean:
                 dilatation = theta[l]
-            find_rotation_factors(S, mu, lam * dilatation - 2.0 * mu, crease, projected, Q, H)
+            m = mu[row, l]
+            find_rotation_factors(S, m, lam[row, l] * dilatation - 2.0 * m, crease, projected, Q, H)
             _cross_gradients(G[first // LANES], R, l, w)
             if point == 0:
                 T[:] = 0.0

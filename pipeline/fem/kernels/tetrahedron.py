@@ -5,7 +5,8 @@ Compiled once per machine (cached beside this file), not once per run. `rotation
 linear law, IDENTITY.
 
 LANES cells are computed at once, entries first, as in rotation.py, which computes their rotations; gathering from nodes
-and scattering to them goes cell by cell.
+and scattering to them goes cell by cell. mu and lam are (1, LANES) if all cells have one material, else they have a
+row for each block of LANES cells.
 """
 
 import numpy as np
@@ -51,9 +52,9 @@ def compute_stresses(F, R, mu, lam, P, W):
         t10 = R[1, l] * F[0, l] + R[4, l] * F[3, l] + R[7, l] * F[6, l]
         t20 = R[2, l] * F[0, l] + R[5, l] * F[3, l] + R[8, l] * F[6, l]
         t21 = R[2, l] * F[1, l] + R[5, l] * F[4, l] + R[8, l] * F[7, l]
-        pressure = lam * (eps00 + eps11 + eps22)
-        s00, s11, s22 = 2 * mu * eps00 + pressure, 2 * mu * eps11 + pressure, 2 * mu * eps22 + pressure
-        s01, s02, s12 = mu * (t01 + t10), mu * (t02 + t20), mu * (t12 + t21)
+        m, pressure = mu[l], lam[l] * (eps00 + eps11 + eps22)
+        s00, s11, s22 = 2 * m * eps00 + pressure, 2 * m * eps11 + pressure, 2 * m * eps22 + pressure
+        s01, s02, s12 = m * (t01 + t10), m * (t02 + t20), m * (t12 + t21)
         W[l] = 0.5 * (
             s00 * eps00 + s11 * eps11 + s22 * eps22 + s01 * (t01 + t10) + s02 * (t02 + t20) + s12 * (t12 + t21)
         )
@@ -73,7 +74,8 @@ def energy(x, cells, G, V, mu, lam, rotation):
         count = min(LANES, len(V) - first)
         compute_gradients(x, cells, G[first // LANES], first, P, F)
         find_rotations(rotation, F, count, R, root, good, C)
-        compute_stresses(F, R, mu, lam, P, W)
+        row = min(first // LANES, len(mu) - 1)
+        compute_stresses(F, R, mu[row], lam[row], P, W)
         for l in range(count):
             total += V[first + l] * W[l]
     return total
@@ -107,7 +109,8 @@ def force(x, cells, G, V, mu, lam, rotation, f):
         count = min(LANES, len(V) - first)
         compute_gradients(x, cells, G[first // LANES], first, P, F)
         find_rotations(rotation, F, count, R, root, good, C)
-        compute_stresses(F, R, mu, lam, P, W)
+        row = min(first // LANES, len(mu) - 1)
+        compute_stresses(F, R, mu[row], lam[row], P, W)
         for l in range(count):
             _scatter_force(cells[first + l], G[first // LANES], V[first + l], P, l, f)
 
@@ -156,11 +159,13 @@ def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, has_rotations, Rs
             load_lanes(Rs, first, count, R)
         else:
             find_rotations(rotation, F, count, R, root, good, C)
-        compute_stresses(F, R, mu, lam, P, W)
+        row = min(first // LANES, len(mu) - 1)
+        compute_stresses(F, R, mu[row], lam[row], P, W)
         for l in range(count):
             e = first + l
             _scatter_force(cells[e], G[first // LANES], V[e], P, l, f)
-            _scatter_stiffness(G[first // LANES], scale * V[e] * mu, scale * V[e] * lam, R, l, pairs[e], g, A)
+            vm, vl = scale * V[e] * mu[row, l], scale * V[e] * lam[row, l]
+            _scatter_stiffness(G[first // LANES], vm, vl, R, l, pairs[e], g, A)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

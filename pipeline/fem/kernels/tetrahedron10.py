@@ -68,13 +68,14 @@ def _compute_stresses(F, R, weights, first, count, mu, lam, is_mean, theta, P, W
     if not is_mean:
         compute_stresses(F, R, mu, lam, P, W)
         return
-    compute_stresses(F, R, mu, 0.0, P, W)
+    theta[:] = 0.0
+    compute_stresses(F, R, mu, theta, P, W)  # without the part of lam
     average_dilatations(F, R, weights, first, count, theta)
     for k in range(9):
         for l in range(LANES):
-            P[k, l] += lam * theta[l] * R[k, l]
+            P[k, l] += lam[l] * theta[l] * R[k, l]
     for l in range(LANES):
-        W[l] += 0.5 * lam * theta[l] * theta[l]
+        W[l] += 0.5 * lam[l] * theta[l] * theta[l]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -99,7 +100,8 @@ def energy(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs):
             _load_rotations(Rs, first, count, q if len(Rs) == e else 1, R)
         else:
             find_rotations(rotation, F, count, R, root, good, C)
-        _compute_stresses(F, R, weights, first, count, mu, lam, is_mean, D[0], P, W)
+        row = min(first // LANES, len(mu) - 1)
+        _compute_stresses(F, R, weights, first, count, mu[row], lam[row], is_mean, D[0], P, W)
         for l in range(count):
             p = first + l
             total += weights[p // q, p % q] * W[l]
@@ -146,7 +148,8 @@ def force(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs, f
             _load_rotations(Rs, first, count, q if len(Rs) == e else 1, R)
         else:
             find_rotations(rotation, F, count, R, root, good, C)
-        _compute_stresses(F, R, weights, first, count, mu, lam, is_mean, D[0], P, W)
+        row = min(first // LANES, len(mu) - 1)
+        _compute_stresses(F, R, weights, first, count, mu[row], lam[row], is_mean, D[0], P, W)
         _scatter_forces(cells, G[first // LANES], weights, P, first, count, D, f)
 
 
@@ -253,15 +256,17 @@ def linearize(x, cells, G, weights, mu, lam, is_mean, rotation, pairs, scale, ha
             _load_rotations(Rs, first, count, q if len(Rs) == e else 1, R)
         else:
             find_rotations(rotation, F, count, R, root, good, C)
-        _compute_stresses(F, R, weights, first, count, mu, lam, is_mean, D[0], P, W)
+        row = min(first // LANES, len(mu) - 1)
+        _compute_stresses(F, R, weights, first, count, mu[row], lam[row], is_mean, D[0], P, W)
         _scatter_forces(cells, G[first // LANES], weights, P, first, count, D, f)
         _rotate_gradients(G[first // LANES], R, D, g)
         for c in range(count // q):
             n = first // q + c
+            m_scaled, l_scaled = scale * mu[row, c * q], scale * lam[row, c * q]
             _multiply_gradients(g, weights[n], c * q, T)
-            _scatter_stiffness(T, scale * mu, 0.0 if is_mean else scale * lam, pairs[n], A)
+            _scatter_stiffness(T, m_scaled, 0.0 if is_mean else l_scaled, pairs[n], A)
             if is_mean:
-                _scatter_mean_stiffness(g, weights[n], c * q, scale * lam, pairs[n], T[0], A)
+                _scatter_mean_stiffness(g, weights[n], c * q, l_scaled, pairs[n], T[0], A)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -76,10 +76,11 @@ def store_rotation(R, e, rotation):
 @njit(cache=True, error_model="numpy", nogil=True)
 def energy(x, cells, G, V, mu, lam, rotation):
     """Return sum V W(F)."""
-    total = 0.0
+    total, last = 0.0, len(mu) - 1
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        total += V[e] * compute_stress(F, find_rotation(rotation, F), mu, lam)[4]
+        m, n = mu[min(e, last)], lam[min(e, last)]
+        total += V[e] * compute_stress(F, find_rotation(rotation, F), m, n)[4]
     return total
 
 
@@ -99,9 +100,11 @@ def _scatter_force(cell, G, volume, P, f):
 def force(x, cells, G, V, mu, lam, rotation, f):
     """Write f_a = -sum V P grad N_a into f (n, 2)."""
     f[:] = 0.0
+    last = len(mu) - 1
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
-        _scatter_force(cells[e], G[e], V[e], compute_stress(F, find_rotation(rotation, F), mu, lam), f)
+        m, n = mu[min(e, last)], lam[min(e, last)]
+        _scatter_force(cells[e], G[e], V[e], compute_stress(F, find_rotation(rotation, F), m, n), f)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -112,13 +115,14 @@ def linearize(x, cells, G, V, mu, lam, rotation, pairs, scale, has_rotations, Rs
     are Rs (e, 2, 2) if has_rotations, else those of x.
     """
     f[:] = 0.0
-    g = np.empty((3, 2))
+    g, last = np.empty((3, 2)), len(mu) - 1
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
         R = load_rotation(Rs, e) if has_rotations else find_rotation(rotation, F)
-        _scatter_force(cells[e], G[e], V[e], compute_stress(F, R, mu, lam), f)
+        m, n = mu[min(e, last)], lam[min(e, last)]
+        _scatter_force(cells[e], G[e], V[e], compute_stress(F, R, m, n), f)
         _rotate_gradients(G[e], R[0], R[1], g)
-        vm, vl, k = scale * V[e] * mu, scale * V[e] * lam, 0
+        vm, vl, k = scale * V[e] * m, scale * V[e] * n, 0
         for a in range(3):
             for b in range(a + 1):
                 block = A[pairs[e, k]]
@@ -151,12 +155,13 @@ def add_rotation_stiffness(x, cells, G, V, mu, lam, pairs, scale, crease, projec
 
     It is (mu + c / tr S) w_a w_b^T, w_a = R B grad N_a with the quarter turn B, c = lam (tr S - 2) - 2 mu.
     """
-    w = np.empty((3, 2))
+    w, last = np.empty((3, 2)), len(mu) - 1
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
         cosine, sine = find_polar(F)
         trace = cosine * (F[0] + F[3]) + sine * (F[2] - F[1])
-        factor = find_rotation_factor(trace, mu, lam * (trace - 2.0) - 2.0 * mu, crease)
+        m = mu[min(e, last)]
+        factor = find_rotation_factor(trace, m, lam[min(e, last)] * (trace - 2.0) - 2.0 * m, crease)
         if projected and factor <= 0.0:
             continue
         _rotate_gradients(G[e], -sine, cosine, w)
@@ -207,13 +212,13 @@ def measure_frame_error(x, cells, G, mu, lam, used, reached):
     They are the smallest tr(U^T R), the largest |P(F,R) - P(F,U)| and the smallest tr R; traces are NaN if x has NaN.
     U are the rotations `used` (e, 2, 2), or identities if `used` is empty.
     """
-    least, largest, own, finite = 2.0, 0.0, 2.0, 0.0
+    least, largest, own, finite, last = 2.0, 0.0, 2.0, 0.0, len(mu) - 1
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
         R = find_polar(F)
         U = load_rotation(used, e) if len(used) > 0 else (1.0, 0.0)
         least = min(least, 2.0 * (R[0] * U[0] + R[1] * U[1]))
-        apart = square_distance(F, R, U, mu, lam)
+        apart = square_distance(F, R, U, mu[min(e, last)], lam[min(e, last)])
         largest, own, finite = max(largest, apart), min(own, 2.0 * R[0]), finite + 0.0 * apart
         store_rotation(reached, e, R)
     return least + finite, np.sqrt(largest), own + finite
@@ -222,11 +227,11 @@ def measure_frame_error(x, cells, G, mu, lam, used, reached):
 @njit(cache=True, error_model="numpy", nogil=True)
 def bound_frame_error(x, cells, G, mu, lam):
     """Return the largest tan(angle / 2) and |P(F,R) - P(F,I)|, exact: in the plane R is cheap."""
-    tangent, largest, finite = 0.0, 0.0, 0.0
+    tangent, largest, finite, last = 0.0, 0.0, 0.0, len(mu) - 1
     for e in range(len(cells)):
         F = _gradient(x, cells, G, e)
         R = find_polar(F)
         tangent = max(tangent, abs(R[1]) / (1.0 + R[0]) if R[0] > -1.0 else np.inf)
-        apart = square_distance(F, R, (1.0, 0.0), mu, lam)
+        apart = square_distance(F, R, (1.0, 0.0), mu[min(e, last)], lam[min(e, last)])
         largest, finite = max(largest, apart), finite + 0.0 * apart
     return tangent + finite, np.sqrt(largest)

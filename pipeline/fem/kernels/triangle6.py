@@ -69,7 +69,7 @@ def _compute_stress(F, R, mu, lam, is_mean, theta):
 @njit(cache=True, error_model="numpy", nogil=True)
 def energy(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs):
     """Return sum w W(F), with the rotations Rs (s, 2, 2) if has_rotations, else those of x."""
-    total, theta, (e, q) = 0.0, 0.0, weights.shape
+    total, theta, (e, q), last = 0.0, 0.0, weights.shape, len(mu) - 1
     for n in range(e):
         first, stride = (n, 0) if len(Rs) == e else (n * q, 1)
         if is_mean:
@@ -77,7 +77,7 @@ def energy(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs):
         for l in range(q):
             F = _gradient(x, cells[n], G[n, l])
             R = _find_rotation(F, rotation, has_rotations, Rs, first + l * stride)
-            total += weights[n, l] * _compute_stress(F, R, mu, lam, is_mean, theta)[4]
+            total += weights[n, l] * _compute_stress(F, R, mu[min(n, last)], lam[min(n, last)], is_mean, theta)[4]
     return total
 
 
@@ -99,7 +99,7 @@ def _scatter_force(cell, G, weight, P, f):
 def force(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs, f):
     """Write f_a = -sum w P grad N_a into f (n, 2), with the rotations Rs (s, 2, 2) if has_rotations."""
     f[:] = 0.0
-    theta, (e, q) = 0.0, weights.shape
+    theta, (e, q), last = 0.0, weights.shape, len(mu) - 1
     for n in range(e):
         first, stride = (n, 0) if len(Rs) == e else (n * q, 1)
         if is_mean:
@@ -107,7 +107,7 @@ def force(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs, f
         for l in range(q):
             F = _gradient(x, cells[n], G[n, l])
             R = _find_rotation(F, rotation, has_rotations, Rs, first + l * stride)
-            P = _compute_stress(F, R, mu, lam, is_mean, theta)
+            P = _compute_stress(F, R, mu[min(n, last)], lam[min(n, last)], is_mean, theta)
             _scatter_force(cells[n], G[n, l], weights[n, l], P, f)
 
 
@@ -133,6 +133,7 @@ def linearize(x, cells, G, weights, mu, lam, is_mean, rotation, pairs, scale, ha
     g, total, theta, (e, q) = np.empty((NODES, 2)), np.empty((NODES, 2)), 0.0, weights.shape
     for n in range(e):
         first, stride, volume = n, 0, 0.0
+        mu_n, lam_n = mu[min(n, len(mu) - 1)], lam[min(n, len(mu) - 1)]
         if len(Rs) != e:
             first, stride = n * q, 1
         if is_mean:
@@ -141,14 +142,14 @@ def linearize(x, cells, G, weights, mu, lam, is_mean, rotation, pairs, scale, ha
         for l in range(q):
             w, F = weights[n, l], _gradient(x, cells[n], G[n, l])
             R = _find_rotation(F, rotation, has_rotations, Rs, first + l * stride)
-            _scatter_force(cells[n], G[n, l], w, _compute_stress(F, R, mu, lam, is_mean, theta), f)
+            _scatter_force(cells[n], G[n, l], w, _compute_stress(F, R, mu_n, lam_n, is_mean, theta), f)
             _rotate_gradients(G[n, l], R[0], R[1], g)
-            _add_stiffness(g, scale * w * mu, 0.0 if is_mean else scale * w * lam, pairs[n], A)
+            _add_stiffness(g, scale * w * mu_n, 0.0 if is_mean else scale * w * lam_n, pairs[n], A)
             if is_mean:
                 _add_scaled(w, g, total)
                 volume += w
         if is_mean:
-            _add_square(scale * lam / volume, total, pairs[n], A)
+            _add_square(scale * lam_n / volume, total, pairs[n], A)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -179,14 +180,15 @@ def add_rotation_stiffness(x, cells, G, weights, mu, lam, is_mean, pairs, scale,
     """Add scale times the difference between the exact and the frozen tangent to A, as in triangle.py."""
     w, none, theta, (e, q) = np.empty((NODES, 2)), np.empty((0, 2, 2)), 0.0, weights.shape
     for n in range(e):
+        mu_n, lam_n = mu[min(n, len(mu) - 1)], lam[min(n, len(mu) - 1)]
         if is_mean:
             theta = _average_dilatation(x, cells[n], G[n], weights[n], POLAR, False, none, 0, 0)
         for l in range(q):
             F = _gradient(x, cells[n], G[n, l])
             R = find_polar(F)
             own = _measure_dilatation(F, R)
-            c = lam * (theta if is_mean else own) - 2.0 * mu
-            factor = scale * weights[n, l] * find_rotation_factor(own + 2.0, mu, c, crease)
+            c = lam_n * (theta if is_mean else own) - 2.0 * mu_n
+            factor = scale * weights[n, l] * find_rotation_factor(own + 2.0, mu_n, c, crease)
             if projected and factor <= 0.0:
                 continue
             _rotate_gradients(G[n, l], -R[1], R[0], w)
@@ -239,14 +241,14 @@ def nodal_rotations(x, cells, G, weights, R):
 @njit(cache=True, error_model="numpy", nogil=True)
 def measure_frame_error(x, cells, G, q, mu, lam, used, reached):
     """Write the polar rotations at the sites, q per cell, into reached (s, 2, 2); return the numbers of triangle.py."""
-    least, largest, own, finite = 2.0, 0.0, 2.0, 0.0
+    least, largest, own, finite, last = 2.0, 0.0, 2.0, 0.0, len(mu) - 1
     for n in range(len(reached) // q):
         for l in range(q):
             F = _gradient(x, cells[n], G[n, l])
             R = find_polar(F)
             U = load_rotation(used, n * q + l) if len(used) > 0 else (1.0, 0.0)
             least = min(least, 2.0 * (R[0] * U[0] + R[1] * U[1]))
-            apart = square_distance(F, R, U, mu, lam)
+            apart = square_distance(F, R, U, mu[min(n, last)], lam[min(n, last)])
             largest, own, finite = max(largest, apart), min(own, 2.0 * R[0]), finite + 0.0 * apart
             store_rotation(reached, n * q + l, R)
     return least + finite, np.sqrt(largest), own + finite
@@ -255,12 +257,12 @@ def measure_frame_error(x, cells, G, q, mu, lam, used, reached):
 @njit(cache=True, error_model="numpy", nogil=True)
 def bound_frame_error(x, cells, G, q, mu, lam):
     """Return the largest tan(angle / 2) and |P(F,R) - P(F,I)| at the sites, exact, as in triangle.py."""
-    tangent, largest, finite = 0.0, 0.0, 0.0
+    tangent, largest, finite, last = 0.0, 0.0, 0.0, len(mu) - 1
     for n in range(len(cells)):
         for l in range(q):
             F = _gradient(x, cells[n], G[n, l])
             R = find_polar(F)
             tangent = max(tangent, abs(R[1]) / (1.0 + R[0]) if R[0] > -1.0 else np.inf)
-            apart = square_distance(F, R, (1.0, 0.0), mu, lam)
+            apart = square_distance(F, R, (1.0, 0.0), mu[min(n, last)], lam[min(n, last)])
             largest, finite = max(largest, apart), finite + 0.0 * apart
     return tangent + finite, np.sqrt(largest)
