@@ -1,7 +1,8 @@
 """A TOML file becomes a validated, frozen Case with overrides and variants; no numerics are imported here."""
 
-from pipeline.case.keys import MaterialSpec, MeshSpec, MethodSpec, MovieSpec, OutputSpec, ScheduleSpec
+from pipeline.case.keys import MeshSpec, MethodSpec, MovieSpec, OutputSpec, ScheduleSpec
 from pipeline.case.loads import BodyForceSpec, GravitySpec, LoadsSpec, PointLoadSpec, TractionSpec
+from pipeline.case.materials import MaterialSpec, RegionSpec
 from pipeline.case.model import Case, load_case
 from pipeline.case.motions import InitialSpec, MotionSpec, SpinSpec, SupportSpec
 from pipeline.case.overrides import parse_override
@@ -21,6 +22,7 @@ __all__ = [
     "MovieSpec",
     "OutputSpec",
     "PointLoadSpec",
+    "RegionSpec",
     "ScheduleSpec",
     "SelectorSpec",
     "SphereSpec",

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import model_validator
 
 from pipeline.case.loads import LoadsSpec
+from pipeline.case.materials import MaterialSpec, RegionSpec
 from pipeline.case.motions import InitialSpec, SupportSpec
 from pipeline.case.python_values import PythonValue
 from pipeline.case.spec import Spec, about
@@ -20,10 +21,8 @@ from pipeline.case.values import (
     FrameRate,
     Iterations,
     Lengths,
-    NotNegative,
     OneOf,
     PictureSize,
-    PoissonRatio,
     Positive,
     Repeats,
     Text,
@@ -33,7 +32,7 @@ from pipeline.case.values import (
 from pipeline.errors import join_names, quote_value
 from pipeline.system.times import count_intervals
 
-VARIANT_SECTIONS = ("mesh", "material", "supports", "loads", "initial", "method", "schedule", "output")
+VARIANT_SECTIONS = ("mesh", "material", "materials", "supports", "loads", "initial", "method", "schedule", "output")
 ONLY_VARIANT = "default"
 
 
@@ -75,16 +74,6 @@ class MeshSpec(Spec):
     def derived_keys(self) -> frozenset[str]:
         keys = {"size", "cells", "split", "scale"}
         return frozenset(keys - ({"scale"} if self.file else {"size", "cells", "split"} if self.shape else set()))
-
-
-class MaterialSpec(Spec):
-    """The material: isotropic and linear."""
-
-    youngs_modulus: Annotated[Positive, about("Young's modulus", "Pa")]
-    poisson_ratio: Annotated[PoissonRatio, about("Poisson's ratio, above -1 and below 0.5")]
-    density: Annotated[Positive, about("mass per rest volume", "kg/m3")]
-    mass_damping: Annotated[NotNegative, about("alpha of C = alpha M + beta K', damps slow motions", "1/s")] = 0.0
-    stiffness_damping: Annotated[NotNegative, about("beta of C = alpha M + beta K', damps fast vibrations", "s")] = 0.0
 
 
 class MethodSpec(Spec):
@@ -178,6 +167,9 @@ class CaseFile(Spec):
     name: Annotated[FolderName, about("name of the case and of its result folder")]
     mesh: Annotated[MeshSpec, about("rest mesh")]
     material: Annotated[MaterialSpec, about("material")]
+    materials: Annotated[
+        tuple[RegionSpec, ...], about("materials of regions, which replace material there; later ones replace earlier")
+    ] = ()
     supports: Annotated[tuple[SupportSpec, ...], about("sets of held nodes")] = ()
     loads: Annotated[LoadsSpec, about("dead loads")] = LoadsSpec()
     initial: Annotated[InitialSpec, about("initial motion")] = InitialSpec()

@@ -17,7 +17,7 @@ from pipeline.mesh.element_mesh import ElementMesh
 class BlockPattern:
     """The blocks of a symmetric matrix of d x d blocks on and below its diagonal, in compressed rows.
 
-    MaterialValues are (blocks, d, d); blocks above the diagonal are their transposes. The diagonal block is the last of its
+    Values are (blocks, d, d); blocks above the diagonal are their transposes. The diagonal block is the last of its
     row. Row k belongs to node `order[k]`.
     """
 

@@ -6,7 +6,6 @@ Points are numbered element by element, p = e q of them; a linear simplex has on
 import numpy as np
 
 from pipeline.arrays import Floats
-from pipeline.fem.material import MaterialValues
 from pipeline.mesh.element_mesh import ElementMesh
 
 

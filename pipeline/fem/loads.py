@@ -8,7 +8,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pipeline.arrays import Floats, Ints
+from pipeline.fem.element import nodal_sums
 from pipeline.fem.mass import consistent_masses
+from pipeline.fem.material import MaterialValues
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.surface import integrate_areas, integrate_normals
 
@@ -16,6 +18,20 @@ from pipeline.mesh.surface import integrate_areas, integrate_normals
 def body_force(mesh: ElementMesh, b: Floats) -> Floats:
     """Return the nodal forces b int N_a dV (n, d) [N] of a force density b (d,) [N/m3]."""
     return mesh.node_volumes[:, None] * b
+
+
+def gravity_force(mesh: ElementMesh, density: MaterialValues, g: Floats) -> Floats:
+    """Return the nodal forces g int rho N_a dV (n, d) [N] of a density [kg/m3], a number or one per element."""
+    if not isinstance(density, np.ndarray):
+        return body_force(mesh, density * g)
+    return integrate_density(mesh, density)[:, None] * g
+
+
+def integrate_density(mesh: ElementMesh, density: MaterialValues) -> Floats:
+    """Return int rho N_a dV (n,) [kg] of a density [kg/m3], a number or one per element."""
+    if not isinstance(density, np.ndarray):
+        return density * mesh.node_volumes
+    return nodal_sums(mesh, consistent_masses(mesh, density).sum(axis=2)[:, :, None])[:, 0]
 
 
 def body_force_field(mesh: ElementMesh, b: Floats) -> Floats:

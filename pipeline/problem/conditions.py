@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.arrays import Ints
+from pipeline.arrays import Floats, Ints
 from pipeline.case import Case, SelectorSpec, SupportSpec
 from pipeline.fem.body import Body
+from pipeline.fem.loads import integrate_density
 from pipeline.fem.supports import Guides, Motion, Supports
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.problem.case_values import get_python_value, read_axis, read_vector
@@ -132,6 +133,15 @@ def _check_taken(case: Case, number: int, nodes: Ints, axes: Ints, taken: Ints) 
     raise case.make_error(f"supports.{number}", f"node {nodes[node]} is already held{along} by supports.{other}")
 
 
+def _find_center_of_mass(body: Body) -> Floats:
+    """Return the center of mass (d,) of a body at rest."""
+    mesh, density = body.mesh, body.material.density
+    if not isinstance(density, np.ndarray):
+        return np.asarray(mesh.node_volumes @ mesh.points / mesh.rest_volumes.sum())
+    masses = integrate_density(mesh, density)
+    return np.asarray(masses @ mesh.points / masses.sum())
+
+
 def make_initial_state(case: Case, body: Body) -> State:
     """Return the initial state: rest positions, the case's velocity and spin, and the supports' for held nodes."""
     mesh, initial = body.mesh, case.initial
@@ -140,7 +150,7 @@ def make_initial_state(case: Case, body: Body) -> State:
     if initial.velocity_field is not None:
         v = get_python_value(case, "initial.velocity_field", initial.velocity_field)
     if initial.spin is not None:
-        mean = mesh.node_volumes @ mesh.points / mesh.rest_volumes.sum()  # the center of mass of a uniform body
+        mean = _find_center_of_mass(body)
         spin = initial.spin
         center = mean if spin.center is None else read_vector(case, "initial.spin.center", spin.center, d)
         omega = np.radians(spin.rate) * read_axis(case, "initial.spin", spin, d)

@@ -14,6 +14,7 @@ from pipeline.fem.loads import (
     VaryingLoad,
     body_force,
     body_force_field,
+    gravity_force,
     normal_traction,
     point_force,
     vector_traction,
@@ -23,6 +24,7 @@ from pipeline.mesh.locate import locate_points
 from pipeline.mesh.surface import find_boundary_faces, measure_distance
 from pipeline.problem.case_values import get_python_value, list_times, read_history, read_vector
 from pipeline.problem.conditions import select_nodes
+from pipeline.problem.materials import make_material
 
 _FIELDS: dict[str, Callable[[ElementMesh, Floats], Floats]] = {
     "body_force_field": body_force_field,
@@ -96,7 +98,7 @@ class _LoadBuilder:
                 g, history = read_vector(case, key, gravity, d), None
             else:
                 g, history = read_vector(case, f"{key}.value", gravity.value, d), gravity.history
-            yield key, body_force(mesh, case.material.density * g), history
+            yield key, gravity_force(mesh, make_material(case, mesh).density, g), history
         if (b := loads.body_force) is not None:
             density = b.factor * read_vector(case, "loads.body_force", b.value, d)
             yield "loads.body_force", body_force(mesh, density), b.history

@@ -10,7 +10,6 @@ from pipeline.fem.body import Body, Formulation
 from pipeline.fem.body_choice import make_body
 from pipeline.fem.damping import Rayleigh
 from pipeline.fem.laws import Corotational, Law
-from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports
 from pipeline.linear.pardiso import load_mkl
 from pipeline.mesh.element_mesh import ElementMesh
@@ -25,6 +24,7 @@ from pipeline.problem.conditions import (
     note_near_nodes,
 )
 from pipeline.problem.loads import LoadSum, LoadTotal, make_loads
+from pipeline.problem.materials import describe_materials, make_material
 from pipeline.problem.methods import (
     INVERSIONS,
     LAWS,
@@ -104,7 +104,7 @@ def build(case: Case, *, mesh: ElementMesh | None = None) -> Problem:
 
 
 def _make_body(case: Case, mesh: ElementMesh, supports: Supports, loads: LoadSum) -> Body:
-    law, mass, method = _make_law(case), MASSES[case.method.mass].part, case.method
+    law, mass, method = _make_law(case, mesh), MASSES[case.method.mass].part, case.method
     formulation = Formulation(cast(Any, method.rotation_at), cast(Any, method.volumetric))
     body = make_body(mesh, law, supports, loads.constant, mass, loads.varying, formulation)
     m = case.material
@@ -113,9 +113,8 @@ def _make_body(case: Case, mesh: ElementMesh, supports: Supports, loads: LoadSum
     return replace(body, damping=Rayleigh(m.mass_damping, m.stiffness_damping))
 
 
-def _make_law(case: Case) -> Law:
-    m, method = case.material, case.method
-    material = Material(m.youngs_modulus, m.poisson_ratio, m.density)
+def _make_law(case: Case, mesh: ElementMesh) -> Law:
+    material, method = make_material(case, mesh), case.method
     if find_traits(method).chooses_model:
         return Corotational(material)
     return LAWS[method.law].part(material, ROTATIONS[method.rotation].part)
@@ -217,6 +216,7 @@ def _check_name(case: Case, key: str, name: str, table: Mapping[str, Any]) -> st
 
 def _list_notes(case: Case, mesh: ElementMesh) -> tuple[str, ...]:
     notes = [*case.notes, *mesh.notes, *note_near_nodes(case, mesh), *note_endless_motions(case)]
+    notes += describe_materials(case, mesh)
     unused = [key for key in ("law", "rotation", "iterations") if f"method.{key}" in case.own_keys]
     traits = find_traits(case.method)
     if traits.chooses_model and unused:

@@ -1,0 +1,108 @@
+"""The material of every cell: that of the case, replaced in regions."""
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Floats, Ints
+from pipeline.case import Case
+from pipeline.fem.material import Material, MaterialValues
+from pipeline.mesh.element_mesh import ElementMesh
+from pipeline.problem.case_values import read_vector
+from pipeline.problem.conditions import AXES
+
+_REACH = 1e-9  # of the size, as for nodes
+
+
+def make_material(case: Case, mesh: ElementMesh) -> Material:
+    """Return the material of a case: numbers, or arrays (e,) of those values in which its regions differ.
+
+    Raises CaseError as number_materials does.
+    """
+    specs = (case.material, *case.materials)
+    numbers = number_materials(case, mesh)
+    return Material(*(_spread(specs, key, numbers) for key in ("youngs_modulus", "poisson_ratio", "density")))
+
+
+def number_materials(case: Case, mesh: ElementMesh) -> Ints | None:
+    """Return the number of every cell's material (e,): 0 is `material`, i + 1 is materials.i; None without regions.
+
+    Later regions replace earlier ones. Raises CaseError for a region without cells, or of which none remain.
+    """
+    if not case.materials:
+        return None
+    numbers = np.zeros(len(mesh.cells), dtype=np.int64)
+    for i, region in enumerate(case.materials):
+        numbers[_select_cells(case, f"materials.{i}", region, mesh)] = i + 1
+    counts = np.bincount(numbers, minlength=len(case.materials) + 1)
+    for i, count in enumerate(counts[1:]):
+        if not count:
+            raise case.make_error(f"materials.{i}", "all of its cells belong to later entries; change their order")
+    return numbers
+
+
+def describe_materials(case: Case, mesh: ElementMesh) -> list[str]:
+    """Return a line for each material with its number of cells and their volume; none without regions."""
+    numbers = number_materials(case, mesh)
+    if numbers is None:
+        return []
+    unit = "m3" if mesh.dimension == 3 else "m2"
+    lines = []
+    for i, spec in enumerate((case.material, *case.materials)):
+        cells = numbers == i
+        name = "material" if i == 0 else f"materials.{i - 1}"
+        lines.append(
+            f"{name}: {int(cells.sum())} cells, {mesh.rest_volumes[cells].sum():.6g} {unit}, youngs_modulus = "
+            f"{spec.youngs_modulus:g}, poisson_ratio = {spec.poisson_ratio:g}, density = {spec.density:g}"
+        )
+    return lines
+
+
+def _spread(specs: tuple[Any, ...], key: str, numbers: Ints | None) -> MaterialValues:
+    """Return the value of all materials, or that of every cell if they differ."""
+    values = [float(getattr(spec, key)) for spec in specs]
+    used = [values[i] for i in (np.unique(numbers) if numbers is not None else [0])]
+    if len(set(used)) == 1:
+        return used[0]
+    assert numbers is not None
+    return np.asarray(np.array(values)[numbers], dtype=np.float64)
+
+
+def _select_cells(case: Case, key: str, region: Any, mesh: ElementMesh) -> Ints:
+    """Return the cells of a region; raises CaseError if there are none."""
+    if region.cells is not None:
+        return _find_children(case, key, region.cells, mesh)
+    centers = _find_centers(mesh)
+    reach = _REACH * mesh.size
+    for name in ("below", "above"):
+        chosen = getattr(region, name)
+        if chosen is not None and AXES[chosen.axis] >= mesh.dimension:
+            raise case.make_error(f"{key}.{name}", "'z' is not an axis of a planar mesh")
+    if region.box is not None:
+        low, high = (read_vector(case, f"{key}.box", corner, mesh.dimension) for corner in region.box)
+        mask = np.all((low - reach <= centers) & (high + reach >= centers), axis=1)
+    elif region.sphere is not None:
+        center = read_vector(case, f"{key}.sphere.center", region.sphere.center, mesh.dimension)
+        mask = np.linalg.norm(centers - center, axis=1) <= region.sphere.radius + reach
+    elif region.below is not None:
+        mask = centers[:, AXES[region.below.axis]] < region.below.at
+    else:
+        mask = centers[:, AXES[region.above.axis]] > region.above.at
+    if not mask.any():
+        low, high = centers.min(axis=0), centers.max(axis=0)
+        raise case.make_error(key, f"selects no cell; the centers of cells span {low.tolist()} to {high.tolist()}")
+    return np.flatnonzero(mask)
+
+
+def _find_centers(mesh: ElementMesh) -> Floats:
+    """Return the mean of the corners of every cell (e, d): the same for both orders."""
+    return np.asarray(mesh.points[mesh.cells[:, : mesh.dimension + 1]].mean(axis=1))
+
+
+def _find_children(case: Case, key: str, cells: tuple[int, ...], mesh: ElementMesh) -> Ints:
+    """Return the cells of the mesh that are, or come from, cells of the mesh before it was refined."""
+    ancestors = np.arange(len(mesh.cells)) // 2 ** (mesh.dimension * case.mesh.refine)
+    count = int(ancestors[-1]) + 1
+    if max(cells) >= count:
+        raise case.make_error(f"{key}.cells", f"{max(cells)} is not a cell; the mesh has {count}, counted from 0")
+    return np.flatnonzero(np.isin(ancestors, cells))
