@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from pipeline.fem.body import Body
-from pipeline.fem.compiled_body import CompiledBody, make_body
+from pipeline.fem.body_choice import make_body
+from pipeline.fem.compiled_body import CompiledBody
 from pipeline.fem.frame_error import measure_frame_error
 from pipeline.fem.laws import Corotational, Linear
 from pipeline.fem.mass import CONSISTENT_MASS, LUMPED_MASS
