@@ -45,10 +45,10 @@ class GuideCut:
         d = self.pattern.dimension
         return self.pattern.diagonal[rows] * d * d + axes * (d + 1)
 
-    def apply(self, A: Floats) -> Floats:
-        """Cut the values A (blocks, d, d), which may have more rows than the pattern; return the entries cut."""
+    def apply(self, A: Floats, out: Floats | None = None) -> Floats:
+        """Cut the values A (blocks, d, d), which may have more rows than the pattern; return the entries, in `out`."""
         values = A.reshape(-1)
-        before = values[self.entries]
+        before = values.take(self.entries, out=out, mode="clip")
         values[self.entries] = 0.0
         return before
 

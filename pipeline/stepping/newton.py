@@ -179,7 +179,7 @@ class Converged:
             r.reshape(-1)[body.supports.guides.components] = 0.0
         stiff = self._stiff
         if body.damping is not None:  # differences of positions lose digits, in C v as in strains
-            drag = body.damping.mass * float(body.lumped_mass.max()) * float(np.abs(self._x).max())
+            drag = body.damping.mass * float(body.lumped_mass.max()) * _find_largest(self._x)
             stiff = stiff * (1 + self._rate / stage.h) + drag / stage.h
         floor = _ROUNDING / self.limits.tolerance * stiff * np.sqrt(r.size)
         return _norm(r) / max(size, floor)
@@ -244,8 +244,13 @@ class Converged:
         if not self._rate:
             return noise
         # the dissipation is a sum over differences of displacements, most of which may be rigid
-        turned = float(np.abs(np.subtract(self._x, stage.x_h, out=self._away)).max()) * self._steepest
+        turned = _find_largest(np.subtract(self._x, stage.x_h, out=self._away)) * self._steepest
         return noise + float(np.finfo(np.float64).eps) * turned**2 * self._full * self._rate / stage.h
+
+
+def _find_largest(a: Floats) -> float:
+    """Return the largest absolute value."""
+    return float(max(a.max(), -a.min()))
 
 
 def _norm(a: Floats) -> float:

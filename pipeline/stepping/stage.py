@@ -93,7 +93,9 @@ class StageSystem:
         self.A = np.empty((body.pattern.blocks, d, d))
         self.f, self.b = np.empty_like(X), np.empty_like(X)
         self._free = np.empty((2, len(body.free), d))
-        self._cut = np.empty(0)  # the entries of A that guides cut
+        self._cut = np.empty(
+            0 if body.guide_cut is None else len(body.guide_cut.entries)
+        )  # the entries that guides cut
         self.damping = None if body.damping is None else FrozenDamping(body, body.damping)
 
     def freeze_damping(self, stage: Stage, *, at_start: bool) -> None:
@@ -122,7 +124,7 @@ class StageSystem:
                 body.guide_cut.restrict_rotations(out)
 
         if body.guide_cut is not None:
-            self._cut = body.guide_cut.apply(self.A)
+            body.guide_cut.apply(self.A, self._cut)
         return self.solver.update(self.A[: body.free_pattern.blocks], write_rotations)
 
     @cached_property

@@ -66,6 +66,21 @@ def test_a_step_with_supports_that_move_allocates_its_state(cases_folder, varian
     check_allocations(build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant(variant)), held=8)
 
 
+@pytest.mark.parametrize(
+    "method",
+    [{}, {"law": "linear"}, {"stepper": "bdf2"}, {"iterations": "converged"}, {"model": "auto"}],
+    ids=str,
+)
+def test_a_step_with_guides_and_damping_allocates_its_state(cases_folder, method: dict) -> None:
+    """Besides some matrices (3, 3) of the guided nodes, 30 of 3751."""
+    roller = {"box": [[0.0, 0.0, 0.0], [0.0, 12.0, 0.0]], "components": ["x"]}
+    keys = {"mesh.cells": CELLS, "supports": [{"plane": "y", "at": 12.0}, roller]}
+    keys |= {"material.stiffness_damping": 1e-3, "material.mass_damping": 0.1}
+    keys |= {f"method.{key}": value for key, value in method.items()}
+    problem = build(load_case(cases_folder / "bar_as_printed.toml", overrides=keys).variant("polar"))
+    check_allocations(problem, guided=8)
+
+
 KERNELS = sorted((Path(__file__).parents[2] / "pipeline").glob("*/kernels/*.py"))
 # cells at once, nodes of a cell, sizes of its matrix, the dimension
 CONSTANTS = {"LANES", "MOST_NODES", "NODES", "WIDTH", "_ENTRIES", "d", "np"}
@@ -91,9 +106,11 @@ def find_allocations(source: str) -> list[tuple[int, set[str]]]:
     return sorted((c.lineno, {n.id for n in ast.walk(c) if isinstance(n, ast.Name)}) for c in made)
 
 
-def check_allocations(problem, *, held: int = 0, small: int = SMALL) -> None:
-    """Also allows `held` vectors of the held nodes."""
+def check_allocations(problem, *, held: int = 0, guided: int = 0, small: int = SMALL) -> None:
+    """Also allows `held` vectors of the held nodes, and `guided` matrices (3, 3) of each guided one."""
     room = small + held * problem.start.x[problem.body.supports.nodes].nbytes
+    if guided:
+        room += guided * 72 * len(problem.body.guide_cut.rows)
     stepper = problem.prepare()
     state = problem.start
     for _ in range(3):
