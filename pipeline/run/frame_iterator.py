@@ -8,6 +8,7 @@ import numpy as np
 from pipeline.arrays import Floats
 from pipeline.errors import SolveError
 from pipeline.fem.body import Body
+from pipeline.fem.loads import integrate_density
 from pipeline.fem.rotation import axial
 from pipeline.linear.work import Work
 from pipeline.problem.problem import Problem
@@ -98,7 +99,11 @@ def measure_dynamics(body: Body, state: State, time: float) -> dict[str, Floats]
     p = body.momentum(state.v)
     xp = np.zeros((3, 3))  # sum_n x_n p_n^T, whose skew part is the sum of x_n x p_n
     xp[: body.mesh.dimension, : body.mesh.dimension] = state.x.T @ p
-    return {
+    density, center = body.material.density, dict[str, Floats]()
+    if isinstance(density, np.ndarray):  # else it is the center of volume, which frames of other programs have, too
+        masses = integrate_density(body.mesh, density)
+        center["center_of_mass"] = pad_to_space(masses @ state.x / masses.sum())
+    return center | {
         "kinetic_energy": np.asarray(0.5 * np.vdot(state.v, p)),
         "elastic_energy": np.asarray(body.energy(state.x)),
         "potential_energy": np.asarray(-np.vdot(body.load_at(time), state.x - body.mesh.points)),

@@ -41,7 +41,7 @@ VARIABLES: Mapping[str, Variable] = {
     "volume_ratio_mean": Variable((), "1", "mean volume ratio, weighted by rest volume"),
     "volume_ratio_quantile": Variable(("quantile",), "1", "quantiles of the volume ratio over cells, unweighted"),
     "inverted_count": Variable((), "1", "number of inverted cells", "det F is zero or less somewhere in them"),
-    "center_of_mass": Variable(("axis",), "m", "center of mass", "of a body of uniform density"),
+    "center_of_mass": Variable(("axis",), "m", "center of mass", "of a uniform body, or by its densities"),
     "kinetic_energy": Variable((), "J", "kinetic energy"),
     "elastic_energy": Variable((), "J", "elastic energy", "of the law that was solved"),
     "potential_energy": Variable((), "J", "potential energy of the dead loads", "zero at the rest positions"),
@@ -144,6 +144,6 @@ def measure(frame: Frame) -> Values:
         "volume_ratio_quantile": np.quantile(ratio, QUANTILES),
         # unknown if a cell has no numbers: a count of the others would look like good news
         "inverted_count": np.asarray(np.nan if np.isnan(total) else float((cells.ratio_min <= 0).sum())),
-        "center_of_mass": pad_to_space(mesh.node_volumes @ frame.x / rest),
+        "center_of_mass": frame.known.get("center_of_mass", pad_to_space(mesh.node_volumes @ frame.x / rest)),
         **frame.whole,
     }

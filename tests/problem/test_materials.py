@@ -10,6 +10,8 @@ from pipeline.errors import CaseError
 from pipeline.problem.check import check_problem
 from pipeline.problem.materials import number_materials
 from pipeline.problem.problem import build, build_mesh
+from pipeline.run.frame_iterator import frames
+from pipeline.run.measures import measure
 
 SOFT = {"youngs_modulus": 1e6, "poisson_ratio": 0.0, "density": 1000.0}
 STIFF = {"youngs_modulus": 9e6, "poisson_ratio": 0.0, "density": 3000.0}
@@ -150,3 +152,9 @@ def test_a_stiff_inclusion_hardly_strains(d, order):
         strains.append(ends[1] - ends[0])
         assert ends[2] == pytest.approx(1e3 / 1e6 * 2.0 + 2 * 1e3 / (1e6 * ratio), rel=1e-9)
     assert strains[0] == pytest.approx(100 * strains[1], rel=1e-4)
+
+
+def test_the_center_of_mass_of_a_run_is_that_of_its_densities():
+    frame = next(iter(frames(build(make_case(materials=[STIFF | {"above": {"axis": "x", "at": 3.0}}])))))
+    center = (3000.0 * 1.5 + 3000.0 * 3.5) / 6000.0
+    assert measure(frame)["center_of_mass"] == pytest.approx([center, 0.5, 0.5], rel=1e-12)
