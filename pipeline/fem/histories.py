@@ -67,13 +67,13 @@ class TableHistory:
 
 
 class ExpressionHistory:
-    """An expression of t; `interval` [s] is that of the times up to which integrals are remembered."""
+    """An expression of t; `interval` [s] is that of the pieces of which integrals are summed."""
 
     def __init__(self, text: str, interval: float) -> None:
         self.text = text
         self.interval = interval
         self._function = compile_expression(text)
-        self._sums = [0.0]  # integrals from 0 to multiples of the interval
+        self._whole, self._sum = 0, 0.0  # intervals from 0 of which the integral is known, and that
 
     def __call__(self, time: float) -> float:
         """Return the factor at a time [s]; raises SolveError if it has none."""
@@ -94,10 +94,13 @@ class ExpressionHistory:
     def integrate(self, time: float) -> float:
         """Return the integral of the factor from 0 to a time [s]."""
         whole = int(time / self.interval)
-        while len(self._sums) <= whole:
-            end = len(self._sums) * self.interval
-            self._sums.append(self._sums[-1] + integrate_adaptively(self, end - self.interval, end))
-        return self._sums[whole] + integrate_adaptively(self, whole * self.interval, time)
+        if whole < self._whole:  # in runs times ascend
+            self._whole, self._sum = 0, 0.0
+        while self._whole < whole:
+            start = self._whole * self.interval
+            self._sum += integrate_adaptively(self, start, start + self.interval)
+            self._whole += 1
+        return self._sum + integrate_adaptively(self, whole * self.interval, time)
 
 
 def integrate_adaptively(function: Callable[[float], float], start: float, end: float) -> float:
