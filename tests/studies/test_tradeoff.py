@@ -243,9 +243,11 @@ def test_costs_at_five_and_one_per_cent_are_told_for_both_orders(tmp_path, monke
     rows = {1: make_row(4.0, 0.04), 2: make_row(0.5, 0.008)}
     rows = {n: replace(row, setting=replace(row.setting, order=n)) for n, row in rows.items()}
     rows = {n: replace(row, deviations={"total_worst_distance": (0.04, 0.008)[n - 1]}) for n, row in rows.items()}
-    finest = estimate_finest_error(2, [0.004, float("nan")])
+    finest, errors = estimate_finest_error(2, [0.004, float("nan")]), {1: 0.03, 2: 0.004}
     table = SimpleNamespace(
-        plan=plan, find_mesh_error=lambda level: 0.03, estimate_reference_errors=lambda: SimpleNamespace(finest=finest)
+        plan=plan,
+        find_mesh_error=lambda level: errors[level.order],
+        estimate_reference_errors=lambda: SimpleNamespace(finest=finest),
     )
     monkeypatch.setattr(
         "pipeline.studies.tradeoff.orders.list_choosable", lambda table, levels: [rows[levels[0].order]]
@@ -255,6 +257,8 @@ def test_costs_at_five_and_one_per_cent_are_told_for_both_orders(tmp_path, monke
     assert five.startswith("5 % in total: order 1 4e+03 ms (bdf2, the linear law, consistent mass, order 1, dt")
     assert five.endswith("order 1 costs 8 times as much")
     assert "order 1 not reached" in one and "order 2 500 ms" in one and "times as much" not in one
+    errors[2] = 0.02  # an error of time that makes up for the mesh's is no accuracy
+    assert "order 2 not reached" in describe_orders(table, 0.01)
     finest = estimate_finest_error(2, [0.5, 0.5])
     assert "not known to be that accurate" in describe_orders(table, 0.05)
 

@@ -34,7 +34,8 @@ def find_order_costs(table: ErrorTable, tolerance: float) -> list[OrderCost]:
 def _find_cost(table: ErrorTable, order: int, tolerance: float) -> OrderCost:
     levels = [level for level in table.plan.levels if level.order == order]
     rows = list_choosable(table, levels)
-    best = find_cheapest(rows, tolerance, "total")
+    # on other meshes an error of time that makes up for that of the mesh is luck
+    best = find_cheapest([r for r in rows if table.find_mesh_error(r.setting.level) <= tolerance], tolerance, "total")
     if best is not None:
         return OrderCost(order, best.costs["seconds"], best.setting)
     points = []
