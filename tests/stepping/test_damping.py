@@ -380,3 +380,15 @@ def test_check_of_an_overdamped_body_has_no_phase(tmp_path):
     check = check_problem(one)
     assert check.material_damping > 1 and check.damping == 1.0 and np.isnan(check.phase_lag)
     assert not any(row.startswith("phase") for row in format_check(check, one))
+
+
+def test_damping_acts_on_all_materials_of_a_body(tmp_path):
+    """A mode of two materials takes the steps of the formula; a region has no damping of its own."""
+    base = {"youngs_modulus": 1e7, "poisson_ratio": 0.3, "density": 1e3, "mass_damping": 2.0, "stiffness_damping": 5e-3}
+    soft = {"youngs_modulus": 1e6, "poisson_ratio": 0.2, "density": 500.0, "below": {"axis": "y", "at": 1.5}}
+    one = build_problem(tmp_path, "linear", material=base, materials=[soft], loads=None)
+    y, omega = follow_mode(one.body, 0.02, 10)
+    step = np.linalg.inv(np.eye(2) - 0.02 * make_oscillator(omega, Rayleigh(2.0, 5e-3)))
+    np.testing.assert_allclose(y[1:], y[:-1] @ step.T, atol=1e-7 * np.abs(y).max())
+    with pytest.raises(CaseError, match=r"materials\.0\.mass_damping: unknown key"):
+        build_problem(tmp_path, materials=[soft | {"mass_damping": 1.0}])
