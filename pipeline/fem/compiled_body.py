@@ -197,7 +197,9 @@ class CompiledBody(Body):
     def measure_frame_error(self, x: Floats, used: Floats | None, reached: Floats) -> FrameError:
         """Write the rotations at x into reached (s, d, d); return their frame error from those used."""
         if self._rotation != POLAR or self.groups is not None:  # the kernels take every point's own dilatation
-            return super().measure_frame_error(x, used, reached)
+            error = super().measure_frame_error(x, used, reached)
+            # the bits of update_rotations, by which a resumed run measures them
+            return FrameError(error.indicator, self.update_rotations(x, reached))
         mu, lam, modulus = self._strays
         before, d = self._no_rotations if used is None else used, x.shape[1]
         trace, stress, own = self._modules.frame_errors.measure_frame_error(
