@@ -150,10 +150,11 @@ class CompiledBody(Body):
         if solves:
             self._modules.sums.nodal_rotations(X, *none[:3], nothing)
             self._modules.sums.linearize(X, *none, self._rotation, self._pairs[:0], 1.0, False, nothing, f, nothing)
-        if frame_errors:
+        if frame_errors or self.site_count < self.mesh.integration.weights.size:
             # on no cells: R is empty, and kernels check no bounds
             no_sites = (*(part[:0] for part in self._sites[:2]), *self._sites[2:])
             self._modules.sums.rotations(X, *no_sites, self._rotation, nothing)
+        if frame_errors:
             sites = (cells[:0], G[:0], *self._sites[2:], *self._strays[:2])
             self._modules.frame_errors.bound_frame_error(X, *sites)
             self._modules.frame_errors.measure_frame_error(X, *sites, nothing, nothing)
