@@ -22,33 +22,42 @@ from pipeline.mesh.cleanup import (
     drop_unused_nodes,
     orient_cells,
 )
+from pipeline.mesh.element_mesh import ElementMesh
+from pipeline.mesh.quadratic import make_quadratic_mesh, raise_order
+from pipeline.mesh.side_nodes import CORNERS, sort_side_nodes
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 
+_QUADRATIC = {2: "triangle6", 3: "tetra10"}
 _NEEDED = "tetrahedra or planar triangles are needed"
 
 
-def read_mesh(path: str | PathLike[str], scale: float = 1.0) -> Mesh:
+def read_mesh(path: str | PathLike[str], scale: float = 1.0, order: int = 1) -> ElementMesh:
     """Return the tetrahedra of a file, or the triangles of a planar one, with points multiplied by scale.
 
-    The mesh's `notes` list every correction. Raises MeshError for a file that cannot be read, a surface, other solid
-    cells, and for cells and points that cleanup.py refuses.
+    If the order is 2, quadratic cells keep the nodes in their sides; other cells get them in the middles. The mesh's
+    `notes` list every correction. Raises MeshError for a file that cannot be read, a surface, other solid cells, folded
+    quadratic cells, and for cells and points that cleanup.py refuses.
     """
     path = Path(path)
     plain = _read_plain(path)
     try:
-        points, cells, dropped = _find_simplices(plain.points, plain.blocks)
+        points, cells, dropped = _find_simplices(plain.points, plain.blocks, order)
         check_connectivity(points, cells)
         cells, repeated = drop_repeated_cells(cells)
         body = np.repeat(np.arange(len(plain.bodies)), plain.bodies)[np.unique(cells)] if plain.bodies else None
         points, cells, unused = drop_unused_nodes(points, cells)
         check_points(points, body)
-        points, flattened = _drop_z(points) if cells.shape[1] == 3 else (points, [])
+        points, flattened = _drop_z(points) if cells.shape[1] in (3, 6) else (points, [])
         check_distances(points, body)
         cells, mirrored = orient_cells(points, cells)
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
     notes = [*plain.notes, *_note_regions(plain.regions), *dropped, *repeated, *unused, *flattened, *mirrored]
-    return Mesh(points * scale, cells, name=str(path), notes=tuple(f"{path.name}: {note}" for note in notes))
+    named = tuple(f"{path.name}: {note}" for note in notes)
+    if cells.shape[1] in CORNERS:
+        return make_quadratic_mesh(points * scale, cells, str(path), named)
+    mesh = Mesh(points * scale, cells, name=str(path), notes=named)
+    return raise_order(mesh) if order == 2 else mesh
 
 
 def _read_plain(path: Path) -> PlainMesh:
@@ -68,8 +77,11 @@ def _note_regions(regions: Sequence[str]) -> list[str]:
     return [f"{len(regions)} regions ({join_names(regions)}) get the one material of the case"]
 
 
-def _find_simplices(points: Floats, blocks: Sequence[CellBlock]) -> tuple[Floats, Ints, list[str]]:
-    """Return points (n, 2 or 3), the simplices of the highest dimension and notes on what is left out."""
+def _find_simplices(points: Floats, blocks: Sequence[CellBlock], order: int) -> tuple[Floats, Ints, list[str]]:
+    """Return points (n, 2 or 3), the simplices of the highest dimension and notes on what is left out.
+
+    They have the nodes of their sides if the order is 2 and all of them do, else their corners only.
+    """
     d = max((dimension for _, dimension, *_ in blocks), default=0)
     top = [block for block in blocks if block[1] == d]
     kinds = {kind for kind, *_ in top}
@@ -80,8 +92,14 @@ def _find_simplices(points: Floats, blocks: Sequence[CellBlock]) -> tuple[Floats
     for kind, _, _, nodes in top:
         if nodes.ndim != 2 or nodes.shape[1] < d + 1 or (kind == SIMPLEX_NAMES[d] and nodes.shape[1] != d + 1):
             raise MeshError(f"cells {nodes.shape} are not {CELL_NAMES[d]} cells")
-    cells = np.concatenate([nodes[:, : d + 1] for *_, nodes in top])
-    notes = [_note_curved(points, nodes, d) for kind, _, _, nodes in top if kind != SIMPLEX_NAMES[d]]
+    if order == 2 and kinds == {_QUADRATIC[d]}:
+        blocks_of_nodes = [nodes for *_, nodes in top]
+        for nodes in blocks_of_nodes:
+            check_connectivity(points, nodes)
+        cells, notes = np.concatenate([sort_side_nodes(points, nodes) for nodes in blocks_of_nodes]), []
+    else:
+        cells = np.concatenate([nodes[:, : d + 1] for *_, nodes in top])
+        notes = [_note_curved(points, nodes, d) for kind, _, _, nodes in top if kind != SIMPLEX_NAMES[d]]
     lower = Counter[str]()
     for kind, dimension, count, _ in blocks:
         if dimension < d:
@@ -94,7 +112,7 @@ def _note_curved(points: Floats, cells: Ints, d: int) -> str:
     """Return the note on cells of higher order; in VTK's order the nodes on sides follow the corners."""
     text = (
         f"{len(cells)} {CELL_NAMES[d]} cells of {cells.shape[1]} nodes are simulated by their corners; the nodes in "
-        "the middle of sides are left out"
+        "the middle of sides are left out (mesh.order = 2 keeps those of cells with one node in each side)"
     )
     sides = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)][: 3 if d == 2 else 6]
     if cells.shape[1] != d + 1 + len(sides):

@@ -22,6 +22,7 @@ from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.node_order import SIMPLEX_EDGES
 from pipeline.mesh.quadratic import QuadraticMesh, find_sides, make_quadratic_mesh
 from pipeline.mesh.shape_functions import make_kind
+from pipeline.mesh.side_nodes import turn_cells
 from pipeline.mesh.simplex import Mesh, measure_quality, require_simplices
 
 # children by the nodes of a quadratic cell: corners, then the middles of its sides. Those of a tetrahedron have their
@@ -53,7 +54,7 @@ def refine_mesh(mesh: ElementMesh, times: int = 1) -> ElementMesh:
 def _refine_once(mesh: ElementMesh, corners: Ints) -> ElementMesh:
     """Return the mesh with 2^d children of every cell, whose corners (e, d + 1) are in the order that cuts it."""
     if isinstance(mesh, QuadraticMesh):
-        return _refine_quadratic(mesh, _turn_nodes(mesh.cells, corners))
+        return _refine_quadratic(mesh, turn_cells(mesh.cells, corners))
     mesh = require_simplices(mesh)
     ends, sides = find_sides(corners)
     points = np.concatenate([mesh.points, mesh.points[ends].mean(axis=1)])
@@ -111,14 +112,3 @@ def _find_worst_child(points: Floats, cells: Ints) -> Floats:
     X = np.concatenate([X, X[:, SIMPLEX_EDGES[3]].mean(axis=2)], axis=1).reshape(-1, 3)
     inner = (10 * np.arange(len(cells))[:, None, None] + _INNER).reshape(-1, 4)
     return measure_quality(Mesh(X, inner)).reshape(-1, 2).min(axis=1)
-
-
-def _turn_nodes(cells: Ints, corners: Ints) -> Ints:
-    """Return cells of order 2 (e, k) with their corners in another order (e, d + 1), and their sides accordingly."""
-    d = corners.shape[1] - 1
-    places = (corners[:, :, None] == cells[:, None, : d + 1]).argmax(axis=2)
-    number = np.zeros((d + 1, d + 1), dtype=np.int64)  # of the side between two corners
-    a, b = SIMPLEX_EDGES[d].T
-    number[a, b] = number[b, a] = d + 1 + np.arange(len(a))
-    sides = number[places[:, a], places[:, b]]
-    return np.concatenate([corners, np.take_along_axis(cells, sides, axis=1)], axis=1)

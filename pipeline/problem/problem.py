@@ -14,8 +14,9 @@ from pipeline.fem.supports import Supports
 from pipeline.linear.pardiso import load_mkl
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.files import read_mesh
-from pipeline.mesh.quadratic import raise_order
+from pipeline.mesh.quadratic import make_quadratic_mesh, raise_order
 from pipeline.mesh.refinement import refine_mesh
+from pipeline.mesh.side_nodes import CORNERS
 from pipeline.mesh.simplex import Mesh, label_components
 from pipeline.problem.case_values import get_python_value
 from pipeline.problem.conditions import (
@@ -123,22 +124,33 @@ def _make_law(case: Case, mesh: ElementMesh) -> Law:
 def build_mesh(case: Case) -> ElementMesh:
     """Return the rest mesh of a case; raises CaseError or MeshError."""
     try:
-        linear = _build_linear_mesh(case)
-        mesh = raise_order(linear) if case.mesh.order == 2 else linear
+        mesh = _build_coarse_mesh(case)
         return refine_mesh(mesh, case.mesh.refine) if case.mesh.refine else mesh
     except MeshError as error:
         raise case.make_error("mesh", str(error)) from error
 
 
-def _build_linear_mesh(case: Case) -> Mesh:
+def _build_coarse_mesh(case: Case) -> ElementMesh:
+    """Return the mesh before it is refined."""
     spec = case.mesh
     if spec.arrays is not None:
         points, cells = get_python_value(case, "mesh.arrays", spec.arrays)
-        return Mesh(points, cells, name=case.name)
-    if spec.shape is None:
+        if cells.shape[1] in CORNERS and spec.order == 1:
+            raise case.make_error("mesh.order", f"1 does not fit cells of {cells.shape[1]} nodes; give their corners")
+        if cells.shape[1] in CORNERS:
+            return make_quadratic_mesh(points, cells, case.name)
+        mesh = Mesh(points, cells, name=case.name)
+    elif spec.shape is None:
         assert case.mesh_path is not None
-        return read_mesh(case.mesh_path, spec.scale)
-    assert spec.size is not None and spec.cells is not None
+        return read_mesh(case.mesh_path, spec.scale, spec.order)
+    else:
+        mesh = _build_shape(case)
+    return raise_order(mesh) if spec.order == 2 else mesh
+
+
+def _build_shape(case: Case) -> Mesh:
+    spec = case.mesh
+    assert spec.shape is not None and spec.size is not None and spec.cells is not None
     return SHAPES[_check_name(case, "mesh.shape", spec.shape, SHAPES)].part(spec.size, spec.cells, spec.split)
 
 
