@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
 from pipeline.case import Case, PointLoadSpec, TractionSpec
@@ -64,7 +65,7 @@ def make_loads(case: Case, mesh: ElementMesh, held: Ints) -> LoadSum:
         history = None if spec is None else read_history(case, f"{key}.history", spec)
         factors = () if history is None else tuple(history(time) for time in list_times(case))
         totals.append(LoadTotal(key, _sum_forces(forces), spec, factors))
-        builder.notes += _note_idle_load(key, forces[free], factors)
+        builder.notes += _note_idle_load(key, forces, free, factors)
         if spec is None or history is None:
             constant += forces
         elif spec in varying:  # loads of one history are one load
@@ -174,10 +175,10 @@ def _sum_forces(forces: Floats) -> Floats:
     return np.where(np.abs(total) < 1e-12 * np.abs(forces).sum(), 0.0, total)
 
 
-def _note_idle_load(key: str, on_free_nodes: Floats, factors: Sequence[float]) -> list[str]:
-    """Return a note on a load that moves nothing."""
-    if not on_free_nodes.any():
-        return [f"{key}: its forces are zero, or on held nodes only: it moves nothing"]
+def _note_idle_load(key: str, forces: Floats, free: NDArray[np.bool_], factors: Sequence[float]) -> list[str]:
+    """Return a note on a load that moves nothing, unless it was given as zero."""
+    if forces.any() and not forces[free].any():
+        return [f"{key}: its forces are on held nodes only: it moves nothing"]
     if factors and max(map(abs, factors)) < 1e-9:
         return [f"{key}.history: below 1e-9 at every step: it moves nothing"]
     return []
