@@ -17,6 +17,7 @@ from pipeline.mesh.cell_mesh import require_cell_mesh
 from pipeline.mesh.simplex import Mesh, signed_volumes
 from pipeline.run.frame import Frame, Values
 
+MATERIAL = "material"  # cell field of bodies of several materials: their number
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 
 

@@ -13,7 +13,7 @@ from pipeline.arrays import Floats
 from pipeline.formats.grid import Grid
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.run.frame import Frame
-from pipeline.run.measures import AXES, QUANTILES, STEPS, VARIABLES
+from pipeline.run.measures import AXES, MATERIAL, QUANTILES, STEPS, VARIABLES
 from pipeline.series.body.decisions import Decisions
 from pipeline.series.body.inference import infer_layout
 from pipeline.series.body.layout import Options, SeriesLayout
@@ -109,6 +109,8 @@ class Series:
             # in another program's files, a field of that name may be something else
             if value.size == _LENGTHS.get(dims):
                 known[name] = value.reshape([-1] if dims else [])
+        if not (self.ours and MATERIAL in grid.cell_data):  # one density: the center follows from the points
+            known.pop("center_of_mass", None)
         step = int(grid.field_data["step"].ravel()[0]) if "step" in grid.field_data else None
         return Frame(
             index, member.time, self.mesh, x, step=step, v=None if changed else self._read_velocity(grid), known=known,

@@ -447,13 +447,14 @@ WRONG = [
     ),
     (
         {"variants.linear.movie.fps": 5},
-        'variants.linear."movie.fps": a variant cannot change movie, only mesh, material, supports, loads, '
+        'variants.linear."movie.fps": a variant cannot change movie, only mesh, material, materials, supports, loads, '
         "initial, method, schedule, output",
     ),
 ]
 WORDS = {
     "folder": "use up to 100 letters, digits, _, - and ., not starting with .",
-    "sections": ", ".join([*SMALL][:4]) + ", loads, initial, method, schedule, output, movie, variants",
+    "sections": ", ".join([*SMALL][:3])
+    + ", materials, supports, loads, initial, method, schedule, output, movie, variants",
 }
 
 

@@ -51,7 +51,7 @@ MATERIAL = {"youngs_modulus": 1e7, "poisson_ratio": 0.3, "density": 1000.0}
 SCHEDULE = {"dt": 0.02, "frames": 4}
 WRONG = {
     "unknown_key": ({"schedule": SCHEDULE | {"framse": 3}}, 'schedule.framse: unknown key; did you mean "schedule.fra'),
-    "unknown_table": ({"materials": MATERIAL}, 'materials: unknown key; did you mean "material"?'),
+    "unknown_table": ({"load": {}}, 'load: unknown key; did you mean "loads"?'),
     "wrong_type": ({"material": MATERIAL | {"density": "heavy"}}, "material.density: 'heavy' is not a number"),
     "poisson_ratio": ({"material": MATERIAL | {"poisson_ratio": 0.5}}, "material.poisson_ratio: 0.5 is not below 0.5"),
     "no_step": ({"schedule": SCHEDULE | {"dt": 0.0}}, "schedule.dt: 0.0 is not positive"),

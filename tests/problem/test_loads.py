@@ -303,10 +303,6 @@ END = np.flatnonzero(box((1.0, 3.0, 1.0), (1, 3, 1)).points[:, 1] == 0.0).tolist
             "loads.traction.0: its forces are on held nodes only: it moves nothing",
         ),
         (
-            {"point": [{"at": [0.5, 0.5, 0.5], "force": [0.0, 0.0, 0.0]}]},
-            "loads.point.0: its forces are zero, or on held",
-        ),
-        (
             {"gravity": {"value": [0.0, 0.0, -9.81], "history": "sin(100*pi*t)"}},
             "loads.gravity.history: below 1e-9 at every step: it moves nothing",
         ),
