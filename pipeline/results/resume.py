@@ -17,6 +17,7 @@ from pipeline.formats.netcdf import NETCDF_LOCK
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.problem.problem import Problem
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
+from pipeline.run.frame import Frame
 from pipeline.run.measures import VARIABLES, measure
 from pipeline.series.files.instants import Member
 from pipeline.series.files.listing import FrameListing
@@ -87,7 +88,7 @@ def _rebuild_statistics(folder: Path, problem: Problem, output: OutputSpec, coun
             read = replace(series.read_frame(index, grid), mesh=problem.body.mesh)
             if read.step != index * problem.steps_per_frame:
                 raise SeriesError(f"{files[index]}: holds step {read.step}, not step {index * problem.steps_per_frame}")
-            sink.write(read, measure(read) if old is None else {**read.known, **_read_cell_values(old, grid, index)})
+            sink.write(read, measure(read) if old is None else _collect_values(read, old, grid, index))
 
 
 @contextmanager
@@ -105,6 +106,12 @@ def _open_old_statistics(path: Path, count: int) -> Iterator[Any]:
             yield old
     except (OSError, RuntimeError, KeyError, IndexError) as error:
         raise SeriesError(f"{path}: cannot be read, and the frame files are rounded ({error})") from error
+
+
+def _collect_values(read: Frame, old: Any, grid: Grid, index: int) -> dict[str, Any]:
+    """Return the values of a frame whose positions are rounded: those of its file, and of the old statistics."""
+    center = grid.field_data["center_of_mass"].ravel()
+    return {"center_of_mass": center, **read.known, **_read_cell_values(old, grid, index)}
 
 
 def _read_cell_values(old: Any, grid: Grid, index: int) -> dict[str, Any]:
