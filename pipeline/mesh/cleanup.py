@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 
 from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
+from pipeline.mesh.node_order import SIMPLEX_DEGREES, turn_nodes
 from pipeline.mesh.orientation import find_mirrored_cells, swap_corners
-from pipeline.mesh.side_nodes import CORNERS, turn_cells
 from pipeline.mesh.simplex import CELL_NAMES
 
 PLANAR = 1e-6  # of the size: rounding to single precision leaves a few 1e-7 of it
@@ -43,9 +43,9 @@ def drop_unused_nodes(points: Floats, cells: Ints) -> tuple[Floats, Ints, list[s
     unused = np.flatnonzero(~used)
     if not unused.size:
         return points, cells, []
-    name = CELL_NAMES[_count_corners(cells) - 1]
+    _, d = SIMPLEX_DEGREES[cells.shape[1]]
     note = (
-        f"{unused.size} nodes that belong to no {name} were removed, first {unused[0]}; "
+        f"{unused.size} nodes that belong to no {CELL_NAMES[d]} were removed, first {unused[0]}; "
         f"node numbers in the case and in the results count the remaining {used.sum()} from 0, in the file's order"
     )
     return points[used], (np.cumsum(used) - 1)[cells], [note]
@@ -90,8 +90,8 @@ def check_distances(points: Floats, body: Ints | None = None) -> None:
 
 
 def orient_cells(points: Floats, cells: Ints) -> tuple[Ints, list[str]]:
-    """Return the cells, those that only their numbering mirrors reoriented, and a note if there were any."""
-    corners = cells[:, : _count_corners(cells)]
+    """Return the cells of order 1 or 2, those that only their numbering mirrors reoriented, and a note if any were."""
+    corners = cells[:, : points.shape[1] + 1]
     mirrored = find_mirrored_cells(points, corners)
     count = int(mirrored.sum())
     if not count:
@@ -104,11 +104,5 @@ def orient_cells(points: Floats, cells: Ints) -> tuple[Ints, list[str]]:
             f"{count} of {len(cells)} {name} cells were mirrored by their numbering and have been reoriented: no cell "
             "lies on the same side of a face as its neighbor"
         )
-    turned = swap_corners(corners, mirrored)
-    return (turned if len(cells[0]) == len(corners[0]) else turn_cells(cells, turned)), [note]
-
-
-def _count_corners(cells: Ints) -> int:
-    """Return the number of corners of simplices of order 1 or 2."""
-    nodes = int(cells.shape[1])
-    return CORNERS.get(nodes, nodes)
+    corners = swap_corners(corners, mirrored)
+    return (turn_nodes(cells, corners) if cells.shape[1] > corners.shape[1] else corners), [note]

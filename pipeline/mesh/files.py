@@ -1,4 +1,7 @@
-"""Meshes from files, converted to one simplex mesh; a note reports every correction and all that is left out."""
+"""Meshes from files, converted to one mesh of simplices of order 1 or 2.
+
+A note reports every correction and all that is left out.
+"""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -23,40 +26,45 @@ from pipeline.mesh.cleanup import (
     orient_cells,
 )
 from pipeline.mesh.element_mesh import ElementMesh
-from pipeline.mesh.quadratic import make_quadratic_mesh, raise_order
-from pipeline.mesh.side_nodes import CORNERS, sort_side_nodes
+from pipeline.mesh.node_order import SIMPLEX_DEGREES
+from pipeline.mesh.quadratic import make_quadratic_mesh, raise_order, require_quadratic_memory
+from pipeline.mesh.side_nodes import arrange_sides, measure_bend
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 
-_QUADRATIC = {2: "triangle6", 3: "tetra10"}
+_QUADRATIC = {d: nodes for nodes, (order, d) in SIMPLEX_DEGREES.items() if order == 2}
 _NEEDED = "tetrahedra or planar triangles are needed"
 
 
 def read_mesh(path: str | PathLike[str], scale: float = 1.0, order: int = 1) -> ElementMesh:
     """Return the tetrahedra of a file, or the triangles of a planar one, with points multiplied by scale.
 
-    If the order is 2, quadratic cells keep the nodes in their sides; other cells get them in the middles. The mesh's
-    `notes` list every correction. Raises MeshError for a file that cannot be read, a surface, other solid cells, folded
-    quadratic cells, and for cells and points that cleanup.py refuses.
+    With order 2, cells of 10 or 6 nodes keep those on their sides, and linear ones get new nodes in the middle. The
+    mesh's `notes` list every correction. Raises MeshError for a file that cannot be read, a surface, other solid cells,
+    and for cells and points that cleanup.py and side_nodes.py refuse.
     """
     path = Path(path)
     plain = _read_plain(path)
     try:
         points, cells, dropped = _find_simplices(plain.points, plain.blocks, order)
-        check_connectivity(points, cells)
         cells, repeated = drop_repeated_cells(cells)
         body = np.repeat(np.arange(len(plain.bodies)), plain.bodies)[np.unique(cells)] if plain.bodies else None
         points, cells, unused = drop_unused_nodes(points, cells)
         check_points(points, body)
-        points, flattened = _drop_z(points) if cells.shape[1] in (3, 6) else (points, [])
+        own_order, d = SIMPLEX_DEGREES[cells.shape[1]]
+        points, flattened = _drop_z(points) if d == 2 else (points, [])
         check_distances(points, body)
+        cells, arranged = arrange_sides(points, cells) if own_order == 2 else (cells, [])
         cells, mirrored = orient_cells(points, cells)
+        if own_order == 2:
+            require_quadratic_memory(len(cells), d)
+            arranged += _note_kept(points, cells)
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
-    notes = [*plain.notes, *_note_regions(plain.regions), *dropped, *repeated, *unused, *flattened, *mirrored]
-    named = tuple(f"{path.name}: {note}" for note in notes)
-    if cells.shape[1] in CORNERS:
-        return make_quadratic_mesh(points * scale, cells, str(path), named)
-    mesh = Mesh(points * scale, cells, name=str(path), notes=named)
+    notes = [*plain.notes, *_note_regions(plain.regions), *dropped, *repeated, *unused, *flattened, *arranged]
+    texts = tuple(f"{path.name}: {note}" for note in [*notes, *mirrored])
+    if own_order == 2:
+        return make_quadratic_mesh(points * scale, cells, str(path), texts)
+    mesh = Mesh(points * scale, cells, str(path), texts)
     return raise_order(mesh) if order == 2 else mesh
 
 
@@ -78,10 +86,7 @@ def _note_regions(regions: Sequence[str]) -> list[str]:
 
 
 def _find_simplices(points: Floats, blocks: Sequence[CellBlock], order: int) -> tuple[Floats, Ints, list[str]]:
-    """Return points (n, 2 or 3), the simplices of the highest dimension and notes on what is left out.
-
-    They have the nodes of their sides if the order is 2 and all of them do, else their corners only.
-    """
+    """Return points (n, 2 or 3), the simplices of the highest dimension and notes on what is left out."""
     d = max((dimension for _, dimension, *_ in blocks), default=0)
     top = [block for block in blocks if block[1] == d]
     kinds = {kind for kind, *_ in top}
@@ -92,40 +97,58 @@ def _find_simplices(points: Floats, blocks: Sequence[CellBlock], order: int) -> 
     for kind, _, _, nodes in top:
         if nodes.ndim != 2 or nodes.shape[1] < d + 1 or (kind == SIMPLEX_NAMES[d] and nodes.shape[1] != d + 1):
             raise MeshError(f"cells {nodes.shape} are not {CELL_NAMES[d]} cells")
-    if order == 2 and kinds == {_QUADRATIC[d]}:
-        blocks_of_nodes = [nodes for *_, nodes in top]
-        for nodes in blocks_of_nodes:
-            check_connectivity(points, nodes)
-        cells, notes = np.concatenate([sort_side_nodes(points, nodes) for nodes in blocks_of_nodes]), []
-    else:
-        cells = np.concatenate([nodes[:, : d + 1] for *_, nodes in top])
-        notes = [_note_curved(points, nodes, d) for kind, _, _, nodes in top if kind != SIMPLEX_NAMES[d]]
+    count = _count_kept_nodes([nodes for *_, nodes in top], d, order)
+    cells = np.concatenate([nodes[:, :count] for *_, nodes in top])
+    check_connectivity(points, cells)
+    notes = [_note_curved(points, nodes, d) for *_, nodes in top if nodes.shape[1] > count]
     lower = Counter[str]()
-    for kind, dimension, count, _ in blocks:
+    for kind, dimension, number, _ in blocks:
         if dimension < d:
-            lower[kind] += count
-    counts = ", ".join(f"{count} {kind}" for kind, count in sorted(lower.items()))
+            lower[kind] += number
+    counts = ", ".join(f"{number} {kind}" for kind, number in sorted(lower.items()))
     return points, cells, [*notes, *([f"cells of lower dimension were dropped: {counts}"] if counts else [])]
 
 
+def _count_kept_nodes(blocks: Sequence[Ints], d: int, order: int) -> int:
+    """Return how many nodes of every cell are kept: all of quadratic cells with order 2, else the corners."""
+    sizes = Counter[int]()
+    for nodes in blocks:
+        sizes[nodes.shape[1]] += len(nodes)
+    if order == 1 or _QUADRATIC[d] not in sizes:
+        return d + 1
+    if len(sizes) > 1:
+        counts = join_names(f"{count} of {size} nodes" for size, count in sorted(sizes.items()))
+        raise MeshError(
+            f"has {CELL_NAMES[d]} cells of different order ({counts}), which do not fit together; write all of "
+            f"them with {_QUADRATIC[d]} nodes, or take mesh.order = 1"
+        )
+    return _QUADRATIC[d]
+
+
 def _note_curved(points: Floats, cells: Ints, d: int) -> str:
-    """Return the note on cells of higher order; in VTK's order the nodes on sides follow the corners."""
+    """Return the note on cells of higher order that lose their nodes on sides."""
     text = (
         f"{len(cells)} {CELL_NAMES[d]} cells of {cells.shape[1]} nodes are simulated by their corners; the nodes in "
-        "the middle of sides are left out (mesh.order = 2 keeps those of cells with one node in each side)"
+        "the middle of sides are left out"
     )
-    sides = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)][: 3 if d == 2 else 6]
-    if cells.shape[1] != d + 1 + len(sides):
+    if cells.shape[1] != _QUADRATIC[d]:
         return text
     check_connectivity(points, cells)
-    bend = 0.0
-    for k, (a, b) in enumerate(sides):
-        ends, middle = points[cells[:, [a, b]]], points[cells[:, d + 1 + k]]
-        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        with np.errstate(all="ignore"):  # sides of length zero are refused later
-            bend = max(bend, float(np.nanmax(np.linalg.norm(middle - ends.mean(axis=1), axis=1) / length)))
+    bend = measure_bend(points, cells)
     curved = f"; these lie up to {100 * bend:.2g} % of a side's length from its middle: sides become straight"
-    return text + (curved if bend > PLANAR else "")
+    return text + (curved if bend > PLANAR else "") + "; mesh.order = 2 keeps them"
+
+
+def _note_kept(points: Floats, cells: Ints) -> list[str]:
+    """Return a note on curved sides that are kept."""
+    bend = measure_bend(points, cells)
+    if bend <= PLANAR:
+        return []
+    name = CELL_NAMES[points.shape[1]]
+    return [
+        f"{len(cells)} {name} cells of {cells.shape[1]} nodes keep their curved sides, whose nodes lie up to "
+        f"{100 * bend:.2g} % of a side's length from the middle"
+    ]
 
 
 def _join_kinds(kinds: Iterable[str]) -> str:

@@ -25,6 +25,8 @@ _PRISM_EDGES = [*_TRIANGLE_EDGES, *((a + 3, b + 3) for a, b in _TRIANGLE_EDGES),
 _TETRAHEDRON_EDGES = [*_TRIANGLE_EDGES, (0, 3), (1, 3), (2, 3)]
 # by dimension: the corners at the ends of each side of a triangle or tetrahedron
 SIMPLEX_EDGES = {2: np.array(_TRIANGLE_EDGES), 3: np.array(_TETRAHEDRON_EDGES)}
+# by the number of nodes of a triangle or tetrahedron: its order and dimension
+SIMPLEX_DEGREES = {3: (1, 2), 6: (2, 2), 4: (1, 3), 10: (2, 3)}
 # faces: a corner, and the two corners to which their nodes run, the first of them fastest
 _CUBE_FACES = [(0, 3, 4), (1, 2, 5), (0, 1, 4), (3, 2, 7), (0, 1, 3), (4, 5, 7)]
 _PRISM_QUADS = [(0, 1, 3), (1, 2, 4), (2, 0, 5)]
@@ -69,6 +71,17 @@ def place_in_wedge(n: int) -> Ints:
         places += _combine(_PRISM, face, [(i, j) for j in range(1, n) for i in range(1, n)], n)
     inside = _fill_triangle(_TRIANGLE, (0, 1, 2), n)
     return np.array(places + [(*place, k) for k in range(1, n) for place in inside], dtype=np.int64)
+
+
+def turn_nodes(cells: Ints, corners: Ints) -> Ints:
+    """Return cells of order 2 (e, k) with their corners in another order (e, d + 1), and their sides accordingly."""
+    d = corners.shape[1] - 1
+    places = (corners[:, :, None] == cells[:, None, : d + 1]).argmax(axis=2)
+    number = np.zeros((d + 1, d + 1), dtype=np.int64)  # of the side between two corners
+    a, b = SIMPLEX_EDGES[d].T
+    number[a, b] = number[b, a] = d + 1 + np.arange(len(a))
+    sides = number[places[:, a], places[:, b]]
+    return np.concatenate([corners, np.take_along_axis(cells, sides, axis=1)], axis=1)
 
 
 def _fill_edges(corners: Sequence[Place], edges: Iterable[tuple[int, int]], n: int) -> list[Place]:

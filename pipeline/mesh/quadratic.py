@@ -111,12 +111,17 @@ def make_quadratic_mesh(points: Floats, cells: Ints, name: str = "mesh", notes: 
     return QuadraticMesh(points, cell_array, d, None, name, notes)
 
 
+def require_quadratic_memory(count: int, dimension: int) -> None:
+    """Raise MeshError if a body of so many cells of order 2 would not fit into free memory."""
+    require_memory(count, _BYTES[dimension], "take fewer cells or mesh.order = 1")
+
+
 def raise_order(mesh: Mesh) -> QuadraticMesh:
     """Return the mesh of order 2 with the same straight cells: the nodes of sides follow those of the mesh.
 
     Raises MeshError if it would not fit into free memory.
     """
-    require_memory(len(mesh.cells), _BYTES[mesh.dimension], "take fewer cells or mesh.order = 1")
+    require_quadratic_memory(len(mesh.cells), mesh.dimension)
     ends, sides = find_sides(mesh.cells)
     points = np.concatenate([mesh.points, mesh.points[ends].mean(axis=1)])
     cells = np.concatenate([mesh.cells, len(mesh.points) + sides], axis=1)

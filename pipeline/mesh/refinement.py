@@ -19,10 +19,9 @@ from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError
 from pipeline.mesh.cell_mesh import list_shape_notes
 from pipeline.mesh.element_mesh import ElementMesh
-from pipeline.mesh.node_order import SIMPLEX_EDGES
+from pipeline.mesh.node_order import SIMPLEX_EDGES, turn_nodes
 from pipeline.mesh.quadratic import QuadraticMesh, find_sides, make_quadratic_mesh
 from pipeline.mesh.shape_functions import make_kind
-from pipeline.mesh.side_nodes import turn_cells
 from pipeline.mesh.simplex import Mesh, measure_quality, require_simplices
 
 # children by the nodes of a quadratic cell: corners, then the middles of its sides. Those of a tetrahedron have their
@@ -54,7 +53,7 @@ def refine_mesh(mesh: ElementMesh, times: int = 1) -> ElementMesh:
 def _refine_once(mesh: ElementMesh, corners: Ints) -> ElementMesh:
     """Return the mesh with 2^d children of every cell, whose corners (e, d + 1) are in the order that cuts it."""
     if isinstance(mesh, QuadraticMesh):
-        return _refine_quadratic(mesh, turn_cells(mesh.cells, corners))
+        return _refine_quadratic(mesh, turn_nodes(mesh.cells, corners))
     mesh = require_simplices(mesh)
     ends, sides = find_sides(corners)
     points = np.concatenate([mesh.points, mesh.points[ends].mean(axis=1)])

@@ -14,9 +14,9 @@ from pipeline.fem.supports import Supports
 from pipeline.linear.pardiso import load_mkl
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.files import read_mesh
-from pipeline.mesh.quadratic import make_quadratic_mesh, raise_order
+from pipeline.mesh.node_order import SIMPLEX_DEGREES
+from pipeline.mesh.quadratic import make_quadratic_mesh, raise_order, require_quadratic_memory
 from pipeline.mesh.refinement import refine_mesh
-from pipeline.mesh.side_nodes import CORNERS
 from pipeline.mesh.simplex import Mesh, label_components
 from pipeline.problem.case_values import get_python_value
 from pipeline.problem.conditions import (
@@ -131,27 +131,25 @@ def build_mesh(case: Case) -> ElementMesh:
 
 
 def _build_coarse_mesh(case: Case) -> ElementMesh:
-    """Return the mesh before it is refined."""
+    """Return the mesh before its refinement."""
     spec = case.mesh
-    if spec.arrays is not None:
-        points, cells = get_python_value(case, "mesh.arrays", spec.arrays)
-        if cells.shape[1] in CORNERS and spec.order == 1:
-            raise case.make_error("mesh.order", f"1 does not fit cells of {cells.shape[1]} nodes; give their corners")
-        if cells.shape[1] in CORNERS:
-            return make_quadratic_mesh(points, cells, case.name)
-        mesh = Mesh(points, cells, name=case.name)
-    elif spec.shape is None:
+    if spec.file is not None:
         assert case.mesh_path is not None
         return read_mesh(case.mesh_path, spec.scale, spec.order)
+    if spec.arrays is not None:
+        points, cells = get_python_value(case, "mesh.arrays", spec.arrays)
+        own_order, d = SIMPLEX_DEGREES[cells.shape[1]]
+        if own_order == 2:
+            if spec.order == 1:
+                raise case.make_error("mesh.order", f"1 does not fit arrays of cells of {cells.shape[1]} nodes; take 2")
+            require_quadratic_memory(len(cells), d)
+            return make_quadratic_mesh(points, cells, case.name)
+        mesh = Mesh(points, cells, name=case.name)
     else:
-        mesh = _build_shape(case)
+        assert spec.shape is not None and spec.size is not None and spec.cells is not None
+        make_shape = SHAPES[_check_name(case, "mesh.shape", spec.shape, SHAPES)].part
+        mesh = make_shape(spec.size, spec.cells, spec.split)
     return raise_order(mesh) if spec.order == 2 else mesh
-
-
-def _build_shape(case: Case) -> Mesh:
-    spec = case.mesh
-    assert spec.shape is not None and spec.size is not None and spec.cells is not None
-    return SHAPES[_check_name(case, "mesh.shape", spec.shape, SHAPES)].part(spec.size, spec.cells, spec.split)
 
 
 def resolve_mass(case: Case) -> Case:

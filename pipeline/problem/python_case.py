@@ -15,13 +15,13 @@ from pipeline.case import Case
 from pipeline.case.model import validate_case
 from pipeline.case.python_values import PythonValue
 from pipeline.errors import CaseError, MeshError
-from pipeline.mesh.cleanup import check_connectivity, orient_cells
+from pipeline.mesh.cleanup import check_connectivity, check_points, orient_cells
+from pipeline.mesh.node_order import SIMPLEX_DEGREES
 from pipeline.mesh.quadratic import QuadraticMesh
-from pipeline.mesh.side_nodes import sort_side_nodes
+from pipeline.mesh.side_nodes import arrange_sides
 from pipeline.mesh.simplex import Mesh
 from pipeline.problem.problem import build_mesh
 
-_NODES = {2: (3, 6), 3: (4, 10)}  # of a cell of order 1 and 2, by dimension
 _SAMPLES = 16  # times at which a function is evaluated: its values say whether it is the same as before
 
 
@@ -39,12 +39,12 @@ def make_case(
     """Return a case that was made in Python; it runs, resumes and reports like one from a file.
 
     Every section has the keys of a case file. In addition `mesh` may be a Mesh, a QuadraticMesh or a pair of arrays:
-    points (n, d) [m] and cells (e, d + 1), or (e, 6) and (e, 10) of order 2, corners first. In a support, `nodes` may
-    be a mask (n,) or a function of X (n, d) that returns one, and `motion` (or its `displacement`, beside `until`) a
-    function of X (k, d) and t [s] that returns displacements (k, d) [m], zero at t = 0. In `loads`, `body_force` [N/m3]
-    and `nodal_forces` [N] may be arrays (n, d) or functions of X or of X and t that return them. In `initial`,
-    `velocity` [m/s] may be an array (n, d) or a function of X. Other `sections` are materials, method, output, movie
-    and variants.
+    points (n, d) [m] and cells, (e, d + 1) or, of order 2 with straight or curved sides, (e, 6) in the plane and
+    (e, 10) in space; `mesh.order` follows from them. In a support, `nodes` may be a mask (n,) or a function of X (n, d)
+    that returns one, and `motion` (or its `displacement`, beside `until`) a function of X (k, d) and t [s] that returns
+    displacements (k, d) [m], zero at t = 0. In `loads`, `body_force` [N/m3] and `nodal_forces` [N] may be arrays (n, d)
+    or functions of X or of X and t that return them. In `initial`, `velocity` [m/s] may be an array (n, d) or a
+    function of X. Other `sections` are materials, method, output, movie and variants.
 
     The result folder describes arrays and functions but does not contain them: to solve such a case again, make it
     again. A function counts as unchanged if its code, the values that it refers to, and its results at 16 times in the
@@ -159,18 +159,21 @@ def _describe_mesh(mesh: Mesh | QuadraticMesh | tuple[Any, Any], path: Path) -> 
     """Return the section of a mesh that is given as an object or as points and cells."""
     points, cells = (mesh.points, mesh.cells) if isinstance(mesh, Mesh | QuadraticMesh) else mesh
     points, cells = np.array(points, dtype=np.float64), np.array(cells, dtype=np.int64)
-    d = points.shape[1] if points.ndim == 2 else 0
-    if cells.ndim != 2 or cells.shape[1] not in _NODES.get(d, ()):
+    columns = cells.shape[1] if cells.ndim == 2 else 0
+    order, d = SIMPLEX_DEGREES.get(columns, (0, 0))
+    if points.ndim != 2 or not d or points.shape[1] != d:
         raise CaseError(
             f"{path}: mesh: points have shape {points.shape} and cells {cells.shape}; "
             "give (n, 3) with (e, 4) or (e, 10) for tetrahedra, or (n, 2) with (e, 3) or (e, 6) for triangles"
         )
-    order = _NODES[d].index(cells.shape[1]) + 1
     try:
         check_connectivity(points, cells)
-        cells, _ = orient_cells(points, sort_side_nodes(points, cells) if order == 2 else cells)
+        if order == 2:
+            check_points(points)
+            cells, _ = arrange_sides(points, cells)
     except MeshError as error:
         raise CaseError(f"{path}: mesh: {error}") from None
+    cells, _ = orient_cells(points, cells)
     arrays = PythonValue(f"array {points.shape} and {cells.shape}, {_digest(points, cells)}", (points, cells))
     return {"arrays": arrays, **({"order": 2} if order == 2 else {})}
 

@@ -217,11 +217,11 @@ def test_nastran_included_files_properties_and_connections(tmp_path):
 # tetgen and Medit
 
 
-def test_medit_cells_of_second_order_are_read_by_their_corners(tmp_path):
+def test_medit_cells_of_second_order_are_read_with_all_nodes(tmp_path):
     vertices = "Vertices 10\n" + "".join(f"{x} {y} {z} 0\n" for x, y, z in np.random.default_rng(0).random((10, 3)))
     text = f"MeshVersionFormatted 2\nDimension 3\n{vertices}TetrahedraP2 1\n1 2 3 4 5 6 7 8 9 10 3\nEnd\n"
     mesh = read(tmp_path / "it.mesh", text)
-    assert mesh.blocks[0][3].tolist() == [[0, 1, 2, 3]] and "by their corners" in mesh.notes[0]
+    assert mesh.blocks[0][0] == "tetra10" and mesh.blocks[0][3].tolist() == [list(range(10))] and not mesh.notes
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import MeshError, join_names, shorten
-from pipeline.formats.meshes.plain_mesh import SIMPLEX_NAMES, PlainMesh, make_block
+from pipeline.formats.meshes.plain_mesh import PlainMesh, make_block
 
 # Medit's keywords of cells: dimension, kind and number of nodes
 _MEDIT_CELLS = {
@@ -13,8 +13,8 @@ _MEDIT_CELLS = {
     "TETRAHEDRA": (3, "tetra", 4), "HEXAHEDRA": (3, "hexahedron", 8), "HEXAEDRA": (3, "hexahedron", 8),
     "PRISMS": (3, "wedge", 6), "PENTAHEDRA": (3, "wedge", 6), "PYRAMIDS": (3, "pyramid", 5),
 }  # fmt: skip
-# of second order: the nodes on sides come in an order that programs do not agree on, and only corners are passed on
-_MEDIT_CURVED = {"TRIANGLESP2": (2, 6), "TETRAHEDRAP2": (3, 10)}
+# of second order: programs do not agree on the order of nodes on sides, which their places tell later
+_MEDIT_CURVED = {"TRIANGLESP2": (2, "triangle6", 6), "TETRAHEDRAP2": (3, "tetra10", 10)}
 
 
 def read_tetgen(path: Path) -> PlainMesh:
@@ -31,13 +31,10 @@ def read_tetgen(path: Path) -> PlainMesh:
         raise MeshError(f"{path.with_suffix('.node')}: nodes are not counted from 0 or 1")
     kind = {3: "triangle", 4: "tetra", 6: "triangle6", 10: "tetra10"}[corners]
     simplex = 2 if corners in (3, 6) else 3
-    # the nodes on sides come in an order of tetgen's own: only the corners are passed on
-    linear = rows[:, 1 : simplex + 2].astype(np.int64) - first
-    note = f"{len(rows)} {kind} cells are read by their corners; sides are straight"
-    notes = [] if corners == simplex + 1 else [note]
-    block = make_block({2: "triangle", 3: "tetra"}[simplex], simplex, linear)
+    # nodes on sides come in an order of tetgen's own, which their places tell later
+    block = make_block(kind, simplex, rows[:, 1 : 1 + corners].astype(np.int64) - first)
     regions = np.unique(rows[:, 1 + corners]).tolist() if rows.shape[1] > 1 + corners else []
-    return PlainMesh(points[:, 1 : 1 + dimension], [block], notes, [f"region {value:g}" for value in regions])
+    return PlainMesh(points[:, 1 : 1 + dimension], [block], [], [f"region {value:g}" for value in regions])
 
 
 def _read_table(path: Path) -> tuple[tuple[int, int], np.ndarray]:
@@ -71,18 +68,17 @@ def read_medit(path: Path) -> PlainMesh:
             if len(rows):
                 blocks.append(make_block(kind, d, rows[:, :-1] - 1))
                 regions.setdefault(d, set()).update(np.unique(rows[:, -1]).tolist())
-    notes = []
     for name in [name for name in _MEDIT_CURVED if name in sections]:
-        d, nodes = _MEDIT_CURVED[name]
+        d, kind, nodes = _MEDIT_CURVED[name]
         rows = _read_section(path, name, sections.pop(name), nodes + 1).astype(np.int64)
-        blocks.append(make_block(SIMPLEX_NAMES[d], d, rows[:, : d + 1] - 1))
-        notes.append(f"{len(rows)} {name} are read by their corners; sides are straight")
+        if len(rows):
+            blocks.append(make_block(kind, d, rows[:, :-1] - 1))
     sections = {name: words for name, words in sections.items() if name != "EDGESP2"}
     curved = [name for name in sections if name.endswith(("P2", "P3", "P4", "Q2"))]
     if curved:
         raise MeshError(f"{path}: {join_names(curved)} are not read; write cells of first order")
     names = [f"reference {value}" for value in sorted(regions[max(regions)])] if regions else []
-    return PlainMesh(vertices[:, :-1], blocks, notes, names)
+    return PlainMesh(vertices[:, :-1], blocks, [], names)
 
 
 def _split_sections(path: Path) -> dict[str, list[str]]:
