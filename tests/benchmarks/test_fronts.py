@@ -21,3 +21,4 @@ def test_a_bending_scene_costs_less_with_order_two(tmp_path, capsys, monkeypatch
 
 def test_costs_that_are_extrapolated_are_in_parentheses() -> None:
     assert fronts.format_cost(OrderCost(1, 12.34, None)) == "(12.3 s)"
+    assert fronts.format_cost(OrderCost(1, float("inf"), None)) == "not reached"
