@@ -76,7 +76,7 @@ def _measure_distances(points: Floats, cells: Ints) -> Iterator[Floats]:
 
 
 def _check_places(points: Floats, cells: Ints) -> None:
-    """Raise MeshError if a node lies clearly nearer to another side, or farther than its cell is long."""
+    """Raise MeshError if a node lies clearly nearer to another side, or farther away than its cell is long."""
     _, d = SIMPLEX_DEGREES[cells.shape[1]]
     shape = len(cells), cells.shape[1] - d - 1
     own, nearest = np.empty(shape), np.full(shape, np.inf)
@@ -84,7 +84,7 @@ def _check_places(points: Floats, cells: Ints) -> None:
         own[:, side] = distances[:, side]
         distances[:, side] = np.inf
         nearest = np.minimum(nearest, distances)
-    for bad, text in ((own > nearest + _CLEARLY, "nearer to another one"), (own > 1, "farther away than it is long")):
+    for bad, text in ((own > 1, "farther away than it is long"), (own > nearest + _CLEARLY, "nearer to another one")):
         wrong = np.flatnonzero(bad.any(axis=1))
         if wrong.size:
             c = int(wrong[0])

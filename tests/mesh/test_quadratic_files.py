@@ -7,12 +7,18 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+import xarray
 
+from pipeline import build, load_case, make_case
+from pipeline.cli import main
+from pipeline.errors import CaseError, MeshError
 from pipeline.mesh.files import read_mesh
 from pipeline.mesh.quadratic import QuadraticMesh, raise_order
 from pipeline.mesh.refinement import refine_mesh
+from pipeline.mesh.side_nodes import arrange_sides
 from pipeline.mesh.simplex import Mesh
 from pipeline.mesh.surface import find_boundary_faces
+from tests.bodies import skip_figures, write_case
 
 SIDES = {2: [(0, 1), (1, 2), (2, 0)], 3: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]}
 SIZES = {2: math.pi, 3: 4 / 3 * math.pi}
@@ -58,6 +64,13 @@ def measure_exactly(points: np.ndarray, cells: np.ndarray) -> float:
 
 
 BALLS = {2: make_ball(2), 3: make_ball(3)}
+
+
+def test_curved_sides_leave_a_twentieth_of_the_error_of_a_ball():
+    """The numbers of docs/meshes.md."""
+    straight = Mesh(BALLS[3].points, BALLS[3].cells[:, :4]).rest_volumes.sum()
+    assert 1 - straight / SIZES[3] == pytest.approx(0.297, abs=5e-4)
+    assert 1 - BALLS[3].rest_volumes.sum() / SIZES[3] == pytest.approx(0.015, abs=5e-4)
 
 
 def write_ball(path: Path, d: int, order=None, **options) -> Path:
@@ -147,3 +160,182 @@ def test_the_places_of_nodes_tell_their_sides_whatever_their_order(tmp_path, nam
     assert linear.order == 1 and len(linear.points) == len(np.unique(ball.cells[:, : d + 1]))
     bend = f"{50 * math.tan(math.pi / {2: 16, 3: 12}[d]):.2g}"  # arcs of 45 and 60 degrees over their chords
     assert f"lie up to {bend} % of" in linear.notes[0] and linear.notes[0].endswith("mesh.order = 2 keeps them")
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_mirrored_cells_are_reoriented_with_the_nodes_of_their_sides(tmp_path, d):
+    ball = BALLS[d]
+    turn = [0, 2, 1, 5, 4, 3] if d == 2 else [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]  # corners 1 and 2 exchanged
+    cells = ball.cells.copy()
+    cells[::2] = cells[::2][:, turn]
+    mesh = read_mesh(write_nastran(tmp_path / "it.bdf", ball.points, cells), order=2)
+    assert mesh.rest_volumes == pytest.approx(ball.rest_volumes, rel=1e-12)
+    assert any("mirrored by their numbering" in note for note in mesh.notes)
+    mirrored = read_mesh(
+        write_nastran(tmp_path / "it.bdf", ball.points * np.array([-1, 1, 1][:d]), ball.cells), order=2
+    )
+    assert mirrored.rest_volumes == pytest.approx(ball.rest_volumes, rel=1e-12)
+
+
+def test_a_disk_lies_anywhere_along_z_beside_lines_and_stray_nodes(tmp_path):
+    ball = BALLS[2]
+    points = np.vstack([np.pad(ball.points, [(0, 0), (0, 1)], constant_values=7.0), [[5, 5, 5]]])
+    blocks = [("line3", ball.cells[:3, [0, 1, 3]]), ("triangle6", ball.cells), ("triangle6", ball.cells[:1])]
+    meshio.Mesh(points, blocks).write(tmp_path / "it.vtu")
+    mesh = read_mesh(tmp_path / "it.vtu", order=2)
+    assert np.array_equal(mesh.cells, ball.cells) and np.array_equal(mesh.points, ball.points)
+    texts = "lower dimension were dropped: 3 line3", "1 cells were listed twice", "belong to no triangle", "keep their"
+    assert [any(text in note for note in mesh.notes) for text in texts] == [True] * 4 and len(mesh.notes) == 4
+
+
+def test_instances_of_abaqus_with_curved_sides_are_bodies_of_their_own(tmp_path):
+    ball = BALLS[3]
+    rows = [
+        "*Part, name=ball",
+        "*Node",
+        *(f"{i}, {', '.join(map(repr, x))}" for i, x in enumerate(ball.points.tolist(), 1)),
+    ]
+    rows += [
+        "*Element, type=C3D10",
+        *(f"{i}, {', '.join(map(str, row))}" for i, row in enumerate((ball.cells + 1).tolist(), 1)),
+    ]
+    rows += ["*End Part", "*Instance, name=a, part=ball", "*End Instance", "*Instance, name=b, part=ball", "2., 0., 0."]
+    (tmp_path / "it.inp").write_text("\n".join([*rows, "*End Instance", ""]))
+    mesh = read_mesh(tmp_path / "it.inp", order=2)
+    assert len(mesh.points) == 2 * len(ball.points)  # they touch at a point
+    assert mesh.rest_volumes.sum() == pytest.approx(2 * ball.rest_volumes.sum(), rel=1e-12)
+
+
+def test_linear_files_and_those_of_higher_order_get_straight_sides(tmp_path):
+    ball = BALLS[3]
+    corners = np.unique(ball.cells[:, :4])
+    linear = Mesh(ball.points[corners], np.searchsorted(corners, ball.cells[:, :4]))
+    meshio.Mesh(linear.points, [("tetra", linear.cells)]).write(tmp_path / "linear.vtu")
+    mesh, wanted = read_mesh(tmp_path / "linear.vtu", order=2), raise_order(linear)
+    assert np.array_equal(mesh.points, wanted.points) and np.array_equal(mesh.cells, wanted.cells) and not mesh.notes
+    more = np.random.default_rng(0).random((16, 3))
+    rows = np.hstack([linear.cells[:1], len(linear.points) + np.arange(16)[None]])
+    meshio.Mesh(np.vstack([linear.points, more]), [("tetra20", rows)]).write(tmp_path / "cubic.msh", file_format="gmsh")
+    cubic = read_mesh(tmp_path / "cubic.msh", order=2)
+    assert cubic.order == 2 and cubic.is_straight and len(cubic.points) == 10
+    assert "1 tetrahedron cells of 20 nodes are simulated by their corners" in cubic.notes[0]
+
+
+def swap_sides(points, cells):
+    cells[5, [4, 5]] = cells[5, [5, 4]]
+
+
+def move_far(points, cells):
+    points[cells[5, 4]] += 3.0
+
+
+def fold(points, cells):
+    a, b = points[cells[5, :2]]
+    points[cells[5, 4]] = a + 0.2 * (b - a)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            swap_sides,
+            r"1 cells have a node that does not lie on its side, but nearer to another one; first cell 5: ",
+        ),
+        (move_far, r"cells have a node that does not lie on its side, but farther away .* first cell \d+: node \d+ on"),
+        (
+            fold,
+            r"curved cells are folded, first \d+; move the nodes in the middle of their sides back, or take ",
+        ),
+    ],
+)
+def test_wrong_nodes_on_sides_are_refused_in_one_line(tmp_path, change, words):
+    points, cells = BALLS[3].points.copy(), BALLS[3].cells.copy()
+    change(points, cells)
+    path = write_nastran(tmp_path / "it.bdf", points, cells)
+    with pytest.raises(MeshError, match=words) as caught:
+        read_mesh(path, order=2)
+    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
+    assert read_mesh(path).order == 1  # the remedy
+
+
+def test_cells_of_different_order_are_refused(tmp_path):
+    ball = BALLS[3]
+    meshio.Mesh(ball.points, [("tetra10", ball.cells[1:]), ("tetra", ball.cells[:1, :4])]).write(tmp_path / "it.vtu")
+    with pytest.raises(MeshError, match=r"different order \(1 of 4 nodes, 63 of 10 nodes\).* or take mesh.order = 1$"):
+        read_mesh(tmp_path / "it.vtu", order=2)
+    assert len(read_mesh(tmp_path / "it.vtu").cells) == 64
+
+
+def test_neighbors_must_share_the_nodes_on_their_sides(tmp_path):
+    ball = BALLS[3]
+    inner = np.flatnonzero(np.bincount(ball.cells[:, 4:].ravel()) > 3)[0]
+    cell, column = np.argwhere(ball.cells == inner)[0]
+    points, cells = np.vstack([ball.points, ball.points[inner] + 1e-3]), ball.cells.copy()
+    cells[cell, column] = len(ball.points)
+    with pytest.raises(
+        MeshError, match=rf"do not share the nodes on their sides: cell {cell} has node .* cell \d+ has"
+    ):
+        read_mesh(write_nastran(tmp_path / "it.bdf", points, cells), order=2)
+    hanging = np.array([[0, 0], [2, 0], [1, -2], [1, 0], [1.5, -1], [0.5, -1], [0.5, 1], [0.5, 0], [0.75, 0.5],
+                        [0.25, 0.5]], dtype=float)  # fmt: skip
+    cells = np.array([[0, 2, 1, 5, 4, 3], [0, 3, 6, 7, 8, 9]])
+    with pytest.raises(MeshError, match="1 cells have corners of cells as nodes on sides, first cell 0"):
+        read_mesh(write_nastran(tmp_path / "it.bdf", hanging, cells), order=2)
+
+
+SECTIONS = {
+    "material": {"youngs_modulus": 1e6, "poisson_ratio": 0.3, "density": 1000.0},
+    "schedule": {"dt": 0.01, "frames": 1},
+}
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_arrays_of_python_have_the_order_of_their_cells(d):
+    ball = BALLS[d]
+    cells = put_in_order(ball.cells, d, ORDERS["reversed"])
+    for mesh in (ball, (ball.points, ball.cells), (ball.points, cells)):
+        case = make_case("ball", mesh=mesh, **SECTIONS)
+        built = build(case).body.mesh
+        assert case.mesh.order == 2 and np.array_equal(built.cells, ball.cells)
+        assert np.array_equal(built.points, ball.points)
+    linear = make_case("ball", mesh=Mesh(ball.points, ball.cells[:, : d + 1]), **SECTIONS)
+    assert linear.mesh.order == 1
+    lower = make_case("ball", mesh=ball, **SECTIONS, variants={"one": {"mesh.order": 1}})
+    with pytest.raises(
+        CaseError, match=rf"mesh.order.*: 1 does not fit arrays of cells of {ball.cells.shape[1]} nodes"
+    ):
+        build(lower.variant("one"))
+    for points, wrong, words in (
+        (ball.points, cells[:, :-1], "give .n, 3. with .e, 4. or .e, 10."),
+        (np.where(ball.points > 0.9, np.nan, ball.points), cells, "mesh: .* points are not finite"),
+        (ball.points, cells + 1, "mesh: cell .* names node"),
+    ):
+        with pytest.raises(CaseError, match=words):
+            make_case("ball", mesh=(points, wrong), **SECTIONS)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_nodes_tell_their_sides_in_every_order(d):
+    ball = BALLS[d]
+    for order in itertools.permutations(range(ball.cells.shape[1] - d - 1)):
+        cells, notes = arrange_sides(ball.points, put_in_order(ball.cells, d, list(order)))
+        assert np.array_equal(cells, ball.cells) and len(notes) == (order != tuple(sorted(order)))
+
+
+def test_a_curved_file_runs_and_keeps_its_volume_at_rest(tmp_path, monkeypatch):
+    """End to end: refinement keeps the curved sides, the body at rest has the volume ratio 1."""
+    skip_figures(monkeypatch)
+    write_ball(tmp_path / "ball.msh", 3, file_format="gmsh22")
+    zero = [0.0, 0.0, 0.0]
+    path = write_case(
+        tmp_path, mesh={"file": "ball.msh", "order": 2, "refine": 1}, supports=[{"plane": "x", "at": 0.0}],
+        loads={"gravity": zero}, initial={"velocity": zero}, schedule={"dt": 0.01, "frames": 1}, variants=None,
+    )  # fmt: skip
+    mesh = build(load_case(path)).body.mesh
+    assert len(mesh.cells) == 8 * len(BALLS[3].cells) and not mesh.is_straight
+    assert mesh.rest_volumes.sum() == pytest.approx(measure_exactly(BALLS[3].points, BALLS[3].cells), rel=1e-12)
+    assert main(["run", str(path), "--out", str(tmp_path / "out"), "--no-movie", "--quiet"]) == 0
+    with xarray.open_dataset(tmp_path / "out" / "beam" / "default" / "statistics.nc") as found:
+        assert found["total_volume"].values == pytest.approx(mesh.rest_volumes.sum(), rel=1e-12)
+        assert np.abs(found["volume_ratio"].values - 1).max() < 1e-12
+        assert np.abs(found["volume_ratio_min"].values - 1).max() < 1e-12
