@@ -19,7 +19,9 @@ from pipeline.mesh.side_nodes import arrange_sides
 from pipeline.mesh.simplex import Mesh
 from pipeline.mesh.surface import find_boundary_faces
 from tests.bodies import skip_figures, write_case
+from tests.foreign import case_meshes as M
 
+GMSH = Path(__file__).parent / "curved"
 SIDES = {2: [(0, 1), (1, 2), (2, 0)], 3: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]}
 SIZES = {2: math.pi, 3: 4 / 3 * math.pi}
 KINDS = {2: "triangle6", 3: "tetra10"}
@@ -339,3 +341,34 @@ def test_a_curved_file_runs_and_keeps_its_volume_at_rest(tmp_path, monkeypatch):
         assert found["total_volume"].values == pytest.approx(mesh.rest_volumes.sum(), rel=1e-12)
         assert np.abs(found["volume_ratio"].values - 1).max() < 1e-12
         assert np.abs(found["volume_ratio_min"].values - 1).max() < 1e-12
+
+
+@pytest.mark.parametrize("name", ["ball", "disk"])
+@pytest.mark.parametrize("suffix", [".msh", "_22.msh", ".vtk", ".inp", ".mesh", ".bdf"])
+def test_files_of_gmsh_keep_their_curved_sides(name, suffix):
+    """Written by gmsh 4.8.4 from the .geo files beside them, with its own order of nodes in every format."""
+    d = 3 if name == "ball" else 2
+    mesh = read_mesh(GMSH / f"{name}{suffix}", order=2)
+    original = meshio.gmsh.read(GMSH / f"{name}.msh")
+    wanted = measure_exactly(original.points[:, :d], original.cells_dict[KINDS[d]])
+    volume = mesh.rest_volumes.sum()
+    # short fields of Nastran hold five digits
+    assert volume == pytest.approx(wanted, rel=1e-4 if suffix == ".bdf" else 1e-14 if "msh" in suffix else 1e-13)
+    assert volume == pytest.approx(measure_exactly(mesh.points, mesh.cells), rel=1e-12)
+    straight = read_mesh(GMSH / f"{name}{suffix}").rest_volumes.sum()
+    assert SIZES[d] - volume < 0.05 * (SIZES[d] - straight)
+    assert mesh.is_straight is False and len(mesh.cells) == {"ball": 50, "disk": 15}[name]
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "volume"),
+    [
+        (M.formats, "ten_marked.bdf", 6), (M.formats, "ten_unmarked.bdf", 6), (M.regions_and_noise, "quadratic.vtu", 2),
+    ],
+)  # fmt: skip
+def test_straight_quadratic_files_keep_their_nodes_without_a_note(folders, make, name, volume):
+    path = folders(make) / name
+    mesh, linear = read_mesh(path, order=2), read_mesh(path)
+    assert mesh.is_straight and len(mesh.cells) == len(linear.cells) and not mesh.notes
+    assert mesh.rest_volumes.sum() == pytest.approx(volume, rel=1e-9)
+    assert len(mesh.points) == len(raise_order(linear).points)
