@@ -53,11 +53,12 @@ def read_mesh(path: str | PathLike[str], scale: float = 1.0, order: int = 1) -> 
         own_order, d = SIMPLEX_DEGREES[cells.shape[1]]
         points, flattened = _drop_z(points) if d == 2 else (points, [])
         check_distances(points, body)
-        cells, arranged = arrange_sides(points, cells) if own_order == 2 else (cells, [])
-        cells, mirrored = orient_cells(points, cells)
+        arranged = list[str]()
         if own_order == 2:
             require_quadratic_memory(len(cells), d)
-            arranged += _note_kept(points, cells)
+            cells, arranged = arrange_sides(points, cells)
+        cells, mirrored = orient_cells(points, cells)
+        arranged += _note_kept(points, cells) if own_order == 2 else []
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
     notes = [*plain.notes, *_note_regions(plain.regions), *dropped, *repeated, *unused, *flattened, *arranged]

@@ -67,12 +67,13 @@ def _measure_distances(points: Floats, cells: Ints) -> Iterator[Floats]:
     """Yield for each side the distances (e, s) of all nodes on sides to its middle, as shares of the longest side."""
     _, d = SIMPLEX_DEGREES[cells.shape[1]]
     ends, nodes = points[cells[:, SIMPLEX_EDGES[d]]], points[cells[:, d + 1 :]]
-    longest = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1)
+    with np.errstate(all="ignore"):  # points that are too far away are refused elsewhere
+        longest = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1)
     longest[longest == 0] = 1.0  # cells without size are refused elsewhere
     for side in range(ends.shape[1]):
-        middle = ends[:, side].mean(axis=1)
         with np.errstate(all="ignore"):
-            yield np.linalg.norm(nodes - middle[:, None], axis=2) / longest[:, None]
+            distances = np.linalg.norm(nodes - ends[:, side].mean(axis=1)[:, None], axis=2) / longest[:, None]
+        yield distances
 
 
 def _check_places(points: Floats, cells: Ints) -> None:
