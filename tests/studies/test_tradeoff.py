@@ -265,7 +265,7 @@ def test_costs_at_five_and_one_per_cent_are_told_for_both_orders(tmp_path, monke
 
 def test_costs_are_extrapolated_along_the_line_through_two_meshes():
     assert _extrapolate([(0.4, 1.0), (0.1, 10.0)], 0.025) == pytest.approx(100.0)
-    for points in ([(0.1, 1.0)], [(0.1, 1.0), (0.1, 9.0)], [(0.4, 2.0), (0.1, 1.0)]):
+    for points in ([(0.4, 1.0), (0.3, 20.0)], [(0.1, 1.0)], [(0.1, 1.0), (0.1, 9.0)], [(0.4, 2.0), (0.1, 1.0)]):
         assert _extrapolate(points, 0.01) == np.inf
 
 

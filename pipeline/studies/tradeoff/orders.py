@@ -11,6 +11,7 @@ from pipeline.studies.tradeoff.verdict import describe_setting, find_cheapest, f
 
 GOALS = (0.05, 0.01)  # total errors of which every report tells the cost
 _LEAST_RATE = 0.1  # of log error over log cost: slower convergence says nothing about finer meshes
+_FARTHEST = 1e3  # times the cost of the finest mesh that was run: no line holds that far
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,10 @@ def _extrapolate(points: Sequence[tuple[float, float]], tolerance: float) -> flo
     if not (isfinite(coarse) and fine > 0 and dear > cheap):
         return float("inf")
     rate = log(coarse / fine) / log(dear / cheap)
-    return dear * exp(log(fine / tolerance) / rate) if rate > _LEAST_RATE else float("inf")
+    if rate <= _LEAST_RATE:
+        return float("inf")
+    stretch = log(fine / tolerance) / rate
+    return dear * exp(stretch) if stretch <= log(_FARTHEST) else float("inf")
 
 
 def list_goals(tolerance: float) -> list[float]:
