@@ -166,7 +166,7 @@ class CaseFile(Spec):
 
     name: Annotated[FolderName, about("name of the case and of its result folder")]
     mesh: Annotated[MeshSpec, about("rest mesh")]
-    material: Annotated[MaterialSpec, about("material")]
+    material: Annotated[MaterialSpec | None, about("material; may be left out if materials cover all cells")] = None
     materials: Annotated[
         tuple[RegionSpec, ...], about("materials of regions, which replace material there; later ones replace earlier")
     ] = ()
@@ -180,6 +180,12 @@ class CaseFile(Spec):
     variants: Annotated[
         dict[str, dict[str, Any]], about("named changes to this case: dotted keys in quotes with their new values")
     ] = {}  # noqa: RUF012  (pydantic copies it)
+
+    @model_validator(mode="after")
+    def _check_material(self) -> "CaseFile":
+        if self.material is None and not self.materials:
+            raise make_fault("missing", "material")
+        return self
 
     @model_validator(mode="after")
     def _check_movie(self) -> "CaseFile":

@@ -6,9 +6,9 @@ from pydantic import model_validator
 
 from pipeline.case.selectors import Box, HalfSpaceSpec, SphereSpec
 from pipeline.case.spec import Spec, about
-from pipeline.case.values import NodeNumbers, NotNegative, PoissonRatio, Positive, make_fault
+from pipeline.case.values import Integer, NodeNumbers, NotNegative, PoissonRatio, Positive, Text, make_fault
 
-_SELECTORS = ("box", "sphere", "below", "above", "cells")
+_SELECTORS = ("group", "field", "box", "sphere", "below", "above", "cells")
 
 
 class ElasticSpec(Spec):
@@ -27,8 +27,13 @@ class MaterialSpec(ElasticSpec):
 
 
 class RegionSpec(ElasticSpec):
-    """The material of a region: cells chosen by exactly one of box, sphere, below, above or cells."""
+    """The material of a region: cells chosen by exactly one of group, field (with value), box, sphere, below, above
+    or cells.
+    """
 
+    group: Annotated[Text | None, about("cells of a group of the mesh file, by its name or number")] = None
+    field: Annotated[Text | None, about("cells by a field of the mesh file; requires the key value")] = None
+    value: Annotated[Integer | None, about("value of that field in the cells, a whole number")] = None
     box: Annotated[Box | None, about("cells with centers in a box, [[lowest corner], [highest corner]]", "m")] = None
     sphere: Annotated[SphereSpec | None, about("cells with centers in a ball")] = None
     below: Annotated[HalfSpaceSpec | None, about("cells with centers below a plane")] = None
@@ -42,4 +47,6 @@ class RegionSpec(ElasticSpec):
             raise make_fault(f"no selector; give one of {', '.join(_SELECTORS)}")
         if len(chosen) > 1:
             raise make_fault(f"{chosen[0]} and {chosen[1]} cannot be combined")
+        if (self.field is None) != (self.value is None):
+            raise make_fault("missing" if self.value is None else "needs field, which is not given", "value")
         return self

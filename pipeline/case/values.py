@@ -273,6 +273,7 @@ Fraction = Annotated[float, PlainValidator(_check_fraction), _as_json("number", 
 PoissonRatio = Annotated[
     float, PlainValidator(_check_poisson_ratio), _as_json("number", exclusiveMinimum=-1, exclusiveMaximum=0.5)
 ]
+Integer = Annotated[int, PlainValidator(check_integer), _as_json("integer")]
 Count = Annotated[int, PlainValidator(_check_count), _as_json("integer", minimum=1)]
 Repeats = Annotated[int, PlainValidator(_check_repeats), _as_json("integer", minimum=0, maximum=_MOST_REPEATS)]
 ElementOrder = Annotated[int, PlainValidator(_check_order), _as_json("integer", minimum=1, maximum=2)]

@@ -12,6 +12,7 @@ from pipeline.formats.grid import CellArray
 from pipeline.mesh.blocks import KindBlock, check_types, split_blocks
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.faceted import FacetedCells, collect_faceted
+from pipeline.mesh.regions import Regions
 from pipeline.mesh.rest_cells import RestBlock, measure_block, prepare_block, share_among_nodes
 from pipeline.mesh.rest_facets import RestFacets, measure_facets, prepare_facets, share_among_corners
 from pipeline.mesh.simplex import Mesh, signed_volumes
@@ -26,7 +27,7 @@ class CellMesh:
 
     `plane` are two orthonormal rows (2, 3) if a planar body lies in any plane of space: areas are signed in it. Raises
     MeshError for cells that are inverted or flat at rest, that cannot be measured, or that name nodes that do not
-    exist. `notes` say how cells that are not simple are measured.
+    exist. `notes` say how cells that are not simple are measured, `regions` which groups of their file they are in.
     """
 
     points: Floats
@@ -35,6 +36,7 @@ class CellMesh:
     plane: Floats | None = None
     name: str = "mesh"
     notes: tuple[str, ...] = ()
+    regions: Regions | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", np.ascontiguousarray(self.points, dtype=np.float64))

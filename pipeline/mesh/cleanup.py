@@ -27,13 +27,18 @@ def check_connectivity(points: Floats, cells: Ints) -> None:
         raise MeshError(f"cell {bad[0]} names node {wrong} of {len(points)} (counted from 0)")
 
 
-def drop_repeated_cells(cells: Ints) -> tuple[Ints, list[str]]:
-    """Return the cells (e, k) without repetitions, in their order, and a note if there were any."""
-    _, first = np.unique(np.sort(cells, axis=1), axis=0, return_index=True)
+def drop_repeated_cells(cells: Ints) -> tuple[Ints, Ints, list[str]]:
+    """Return the cells without repetitions, in order, the place of each given cell (e,), and a note if any went."""
+    _, first, inverse = np.unique(np.sort(cells, axis=1), axis=0, return_index=True, return_inverse=True)
     removed = len(cells) - len(first)
     if not removed:
-        return cells, []
-    return cells[np.sort(first)], [f"{removed} cells were listed twice and count once"]
+        return cells, np.arange(len(cells)), []
+    kept = np.sort(first)
+    return (
+        cells[kept],
+        np.searchsorted(kept, first[inverse.ravel()]),
+        [f"{removed} cells were listed twice and count once"],
+    )
 
 
 def drop_unused_nodes(points: Floats, cells: Ints) -> tuple[Floats, Ints, list[str]]:

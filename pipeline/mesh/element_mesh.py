@@ -5,6 +5,7 @@ from typing import Protocol
 from pipeline.arrays import Floats, Ints
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.integration import Integration
+from pipeline.mesh.regions import Regions
 
 
 class ElementMesh(BodyMesh, Protocol):
@@ -13,6 +14,11 @@ class ElementMesh(BodyMesh, Protocol):
     @property
     def cells(self) -> Ints:
         """Return the nodes of every element (e, k)."""
+        ...
+
+    @property
+    def regions(self) -> Regions | None:
+        """Return the groups and fields of the file that the mesh comes from; None for other meshes."""
         ...
 
     @property

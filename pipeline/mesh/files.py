@@ -28,6 +28,7 @@ from pipeline.mesh.cleanup import (
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.node_order import SIMPLEX_DEGREES
 from pipeline.mesh.quadratic import make_quadratic_mesh, raise_order, require_quadratic_memory
+from pipeline.mesh.regions import Regions
 from pipeline.mesh.side_nodes import arrange_sides, measure_bend
 from pipeline.mesh.simplex import CELL_NAMES, Mesh
 
@@ -46,7 +47,7 @@ def read_mesh(path: str | PathLike[str], scale: float = 1.0, order: int = 1) -> 
     plain = _read_plain(path)
     try:
         points, cells, dropped = _find_simplices(plain.points, plain.blocks, order)
-        cells, repeated = drop_repeated_cells(cells)
+        cells, places, repeated = drop_repeated_cells(cells)
         body = np.repeat(np.arange(len(plain.bodies)), plain.bodies)[np.unique(cells)] if plain.bodies else None
         points, cells, unused = drop_unused_nodes(points, cells)
         check_points(points, body)
@@ -61,11 +62,13 @@ def read_mesh(path: str | PathLike[str], scale: float = 1.0, order: int = 1) -> 
         arranged += _note_kept(points, cells) if own_order == 2 else []
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
-    notes = [*plain.notes, *_note_regions(plain.regions), *dropped, *repeated, *unused, *flattened, *arranged]
-    texts = tuple(f"{path.name}: {note}" for note in [*notes, *mirrored])
+    about_regions = _note_regions(plain.regions)
+    notes = [*plain.notes, *about_regions, *dropped, *repeated, *unused, *flattened, *arranged, *mirrored]
+    texts = tuple(f"{path.name}: {note}" for note in notes)
+    regions = Regions(plain.groups, plain.fields, places, note="".join(f"{path.name}: {n}" for n in about_regions))
     if own_order == 2:
-        return make_quadratic_mesh(points * scale, cells, str(path), texts)
-    mesh = Mesh(points * scale, cells, str(path), texts)
+        return make_quadratic_mesh(points * scale, cells, str(path), texts, regions)
+    mesh = Mesh(points * scale, cells, str(path), texts, regions)
     return raise_order(mesh) if order == 2 else mesh
 
 

@@ -13,6 +13,7 @@ from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.integration import Integration, integrate_cells, integrate_products
 from pipeline.mesh.node_order import SIMPLEX_EDGES
 from pipeline.mesh.quadrature import find_mass_quadrature, find_stress_quadrature
+from pipeline.mesh.regions import Regions
 from pipeline.mesh.shape_functions import CellKind, make_kind
 from pipeline.mesh.simplex import Mesh
 from pipeline.system.memory import require_memory
@@ -100,7 +101,9 @@ class QuadraticMesh(CellMesh):
         return sums.astype(np.float64, copy=False)
 
 
-def make_quadratic_mesh(points: Floats, cells: Ints, name: str = "mesh", notes: tuple[str, ...] = ()) -> QuadraticMesh:
+def make_quadratic_mesh(
+    points: Floats, cells: Ints, name: str = "mesh", notes: tuple[str, ...] = (), regions: Regions | None = None
+) -> QuadraticMesh:
     """Return the mesh of cells (e, 6) or (e, 10) in VTK's order; raises MeshError as QuadraticMesh does."""
     points, cells = np.asarray(points), np.asarray(cells)
     d = points.shape[1] if points.ndim == 2 else 0
@@ -108,7 +111,7 @@ def make_quadratic_mesh(points: Floats, cells: Ints, name: str = "mesh", notes: 
         raise MeshError(f"{name}: points {points.shape} and cells {cells.shape} are not a mesh of quadratic simplices")
     offsets = np.arange(0, cells.size + 1, cells.shape[1], dtype=np.int64)
     cell_array = CellArray(np.full(len(cells), _TYPES[d], dtype=np.uint8), offsets, cells.astype(np.int64).ravel())
-    return QuadraticMesh(points, cell_array, d, None, name, notes)
+    return QuadraticMesh(points, cell_array, d, None, name, notes, regions)
 
 
 def require_quadratic_memory(count: int, dimension: int) -> None:
@@ -125,7 +128,7 @@ def raise_order(mesh: Mesh) -> QuadraticMesh:
     ends, sides = find_sides(mesh.cells)
     points = np.concatenate([mesh.points, mesh.points[ends].mean(axis=1)])
     cells = np.concatenate([mesh.cells, len(mesh.points) + sides], axis=1)
-    return make_quadratic_mesh(points, cells, mesh.name, mesh.notes)
+    return make_quadratic_mesh(points, cells, mesh.name, mesh.notes, mesh.regions)
 
 
 def find_sides(cells: Ints) -> tuple[Ints, Ints]:

@@ -21,6 +21,7 @@ from pipeline.mesh.cell_mesh import list_shape_notes
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.node_order import SIMPLEX_EDGES, turn_nodes
 from pipeline.mesh.quadratic import QuadraticMesh, find_sides, make_quadratic_mesh
+from pipeline.mesh.regions import Regions
 from pipeline.mesh.shape_functions import make_kind
 from pipeline.mesh.simplex import Mesh, measure_quality, require_simplices
 
@@ -58,7 +59,7 @@ def _refine_once(mesh: ElementMesh, corners: Ints) -> ElementMesh:
     ends, sides = find_sides(corners)
     points = np.concatenate([mesh.points, mesh.points[ends].mean(axis=1)])
     nodes = np.concatenate([corners, len(mesh.points) + sides], axis=1)
-    return Mesh(points, _divide(nodes, mesh.dimension), mesh.name, mesh.notes)
+    return Mesh(points, _divide(nodes, mesh.dimension), mesh.name, mesh.notes, _refine_regions(mesh))
 
 
 def list_parents(children: int, dimension: int) -> Ints:
@@ -79,7 +80,12 @@ def _refine_quadratic(mesh: QuadraticMesh, cells: Ints) -> QuadraticMesh:
     points = np.concatenate([mesh.points, places[first]])
     counted = list_shape_notes(mesh)  # the finer mesh counts its own cells
     notes = tuple(note for note in mesh.notes if note not in counted)
-    return make_quadratic_mesh(points, np.concatenate([corners, n + sides], axis=1), mesh.name, notes)
+    cells = np.concatenate([corners, n + sides], axis=1)
+    return make_quadratic_mesh(points, cells, mesh.name, notes, _refine_regions(mesh))
+
+
+def _refine_regions(mesh: ElementMesh) -> Regions | None:
+    return None if mesh.regions is None else mesh.regions.refine(2**mesh.dimension)
 
 
 def _divide(nodes: Ints, d: int) -> Ints:

@@ -14,6 +14,7 @@ from pipeline.formats.grid import CellArray
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.integration import Integration
+from pipeline.mesh.regions import Regions
 
 _LARGEST = 1e30  # [m]: squares and cubes of coordinates do not overflow
 _AT_A_TIME = 8192  # cells: intermediate arrays stay in the cache
@@ -61,14 +62,15 @@ def _determinants(D: Floats) -> Floats:
 class Mesh:
     """A rest mesh: points (n, d) [m] and positively oriented cells (e, d + 1).
 
-    `notes` say how reading changed the file's content. Raises MeshError for cells that are inverted or flat, or that
-    name nodes that do not exist.
+    `notes` say how reading changed the file's content, `regions` which of its groups the cells are in. Raises MeshError
+    for cells that are inverted or flat, or that name nodes that do not exist.
     """
 
     points: Floats
     cells: Ints
     name: str = "mesh"
     notes: tuple[str, ...] = ()
+    regions: Regions | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", np.ascontiguousarray(self.points, dtype=np.float64))

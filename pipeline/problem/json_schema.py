@@ -31,6 +31,7 @@ def case_schema() -> dict[str, Any]:
         if key.split(".")[0] in VARIANT_SECTIONS and "[]" not in key
     }
     schema["properties"]["variants"]["additionalProperties"] = {"type": "object", "properties": changes}
+    schema["anyOf"] = [{"required": ["material"]}, {"required": ["materials"]}]
     return {"$schema": _DIALECT, **schema, "title": "Case file of the volume-drift pipeline"}
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.arrays import Floats, Ints
 from pipeline.case import Case
+from pipeline.errors import MeshError, quote_value
 from pipeline.fem.material import Material, MaterialValues
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.problem.case_values import read_vector
@@ -27,7 +28,8 @@ def make_material(case: Case, mesh: ElementMesh) -> Material:
 def number_materials(case: Case, mesh: ElementMesh) -> Ints | None:
     """Return the number of every cell's material (e,): 0 is `material`, i + 1 is materials.i; None without regions.
 
-    Later regions replace earlier ones. Raises CaseError for a region without cells, or of which none remain.
+    Later regions replace earlier ones. Raises CaseError for a region without cells or of which none remain, and for
+    cells without a material.
     """
     if not case.materials:
         return None
@@ -38,6 +40,11 @@ def number_materials(case: Case, mesh: ElementMesh) -> Ints | None:
     for i, count in enumerate(counts[1:]):
         if not count:
             raise case.make_error(f"materials.{i}", "all of its cells belong to later entries; change their order")
+    if counts[0] and case.material is None:
+        first = int(np.flatnonzero(numbers == 0)[0])
+        X = _find_centers(mesh)[first].tolist()
+        left = f"{counts[0]} of {len(numbers)} cells have no material, first cell {first} with its center at {X}"
+        raise case.make_error("materials", f"{left}; give material for them, or more entries")
     return numbers
 
 
@@ -49,6 +56,8 @@ def describe_materials(case: Case, mesh: ElementMesh) -> list[str]:
     unit = "m3" if mesh.dimension == 3 else "m2"
     lines = []
     for i, spec in enumerate((case.material, *case.materials)):
+        if spec is None:
+            continue
         cells = numbers == i
         name = "material" if i == 0 else f"materials.{i - 1}"
         lines.append(
@@ -60,7 +69,7 @@ def describe_materials(case: Case, mesh: ElementMesh) -> list[str]:
 
 def _spread(specs: tuple[Any, ...], key: str, numbers: Ints | None) -> MaterialValues:
     """Return the value of all materials, or that of every cell if they differ."""
-    values = [float(getattr(spec, key)) for spec in specs]
+    values = [np.nan if spec is None else float(getattr(spec, key)) for spec in specs]
     used = [values[i] for i in (np.unique(numbers) if numbers is not None else [0])]
     if len(set(used)) == 1:
         return used[0]
@@ -70,6 +79,8 @@ def _spread(specs: tuple[Any, ...], key: str, numbers: Ints | None) -> MaterialV
 
 def _select_cells(case: Case, key: str, region: Any, mesh: ElementMesh) -> Ints:
     """Return the cells of a region; raises CaseError if there are none."""
+    if region.group is not None or region.field is not None:
+        return _find_in_file(case, key, region, mesh)
     if region.cells is not None:
         return _find_children(case, key, region.cells, mesh)
     centers = _find_centers(mesh)
@@ -92,6 +103,21 @@ def _select_cells(case: Case, key: str, region: Any, mesh: ElementMesh) -> Ints:
         low, high = centers.min(axis=0), centers.max(axis=0)
         raise case.make_error(key, f"selects no cell; the centers of cells span {low.tolist()} to {high.tolist()}")
     return np.flatnonzero(mask)
+
+
+def _find_in_file(case: Case, key: str, region: Any, mesh: ElementMesh) -> Ints:
+    """Return the cells of a group, or with a value in a field, of the file that the mesh comes from."""
+    selector = "group" if region.group is not None else "field"
+    if mesh.regions is None:
+        source = f"shape = {quote_value(case.mesh.shape)}" if case.mesh.shape is not None else "arrays from Python"
+        remedy = "needs mesh.file; choose cells by box, sphere, below, above or cells"
+        raise case.make_error(f"{key}.{selector}", f"a mesh of {source} has no {selector}s: it {remedy}")
+    try:
+        if region.group is not None:
+            return mesh.regions.find_group(region.group)
+        return mesh.regions.find_values(region.field, region.value)
+    except MeshError as error:
+        raise case.make_error(f"{key}.{selector}", str(error)) from None
 
 
 def _find_centers(mesh: ElementMesh) -> Floats:

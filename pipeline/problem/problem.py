@@ -109,7 +109,7 @@ def _make_body(case: Case, mesh: ElementMesh, supports: Supports, loads: LoadSum
     formulation = Formulation(cast(Any, method.rotation_at), cast(Any, method.volumetric))
     body = make_body(mesh, law, supports, loads.constant, mass, loads.varying, formulation)
     m = case.material
-    if not m.mass_damping and not m.stiffness_damping:
+    if m is None or (not m.mass_damping and not m.stiffness_damping):
         return body
     return replace(body, damping=Rayleigh(m.mass_damping, m.stiffness_damping))
 
@@ -225,7 +225,9 @@ def _check_name(case: Case, key: str, name: str, table: Mapping[str, Any]) -> st
 
 
 def _list_notes(case: Case, mesh: ElementMesh) -> tuple[str, ...]:
-    notes = [*case.notes, *mesh.notes, *note_near_nodes(case, mesh), *note_endless_motions(case)]
+    replaced = mesh.regions.note if case.materials and mesh.regions is not None else ""
+    told = [note for note in mesh.notes if note != replaced]
+    notes = [*case.notes, *told, *note_near_nodes(case, mesh), *note_endless_motions(case)]
     notes += describe_materials(case, mesh)
     unused = [key for key in ("law", "rotation", "iterations") if f"method.{key}" in case.own_keys]
     traits = find_traits(case.method)

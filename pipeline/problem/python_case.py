@@ -29,12 +29,12 @@ def make_case(
     name: str,
     *,
     mesh: Mesh | QuadraticMesh | tuple[Any, Any] | Mapping[str, Any],
-    material: Mapping[str, float],
+    material: Mapping[str, float] | None = None,
     schedule: Mapping[str, float],
     supports: Sequence[Mapping[str, Any]] = (),
     loads: Mapping[str, Any] | None = None,
     initial: Mapping[str, Any] | None = None,
-    **sections: Mapping[str, Any],
+    **sections: Any,
 ) -> Case:
     """Return a case that was made in Python; it runs, resumes and reports like one from a file.
 
@@ -44,14 +44,17 @@ def make_case(
     that returns one, and `motion` (or its `displacement`, beside `until`) a function of X (k, d) and t [s] that returns
     displacements (k, d) [m], zero at t = 0. In `loads`, `body_force` [N/m3] and `nodal_forces` [N] may be arrays (n, d)
     or functions of X or of X and t that return them. In `initial`, `velocity` [m/s] may be an array (n, d) or a
-    function of X. Other `sections` are materials, method, output, movie and variants.
+    function of X. Other `sections` are materials (a list), method, output, movie and variants; `material` may be left
+    out if materials cover all cells.
 
     The result folder describes arrays and functions but does not contain them: to solve such a case again, make it
     again. A function counts as unchanged if its code, the values that it refers to, and its results at 16 times in the
     schedule are the same. Raises CaseError if a section is wrong, a shape does not fit or a value is not finite.
     """
     path = Path(f"{name} (made in Python)")
-    document: dict[str, Any] = {"name": name, "material": material, "schedule": schedule, **sections}
+    document: dict[str, Any] = {"name": name, "schedule": schedule, **sections}
+    if material is not None:
+        document["material"] = material
     document["mesh"] = _describe_mesh(mesh, path) if not isinstance(mesh, Mapping) else mesh
     case = validate_case(document, path)
     describer = _Describer(

@@ -125,7 +125,7 @@ def test_notes_and_check_name_the_regions():
 @pytest.mark.parametrize(
     ("regions", "message"),
     [
-        ([STIFF], r"materials\.0: no selector; give one of box, sphere, below, above, cells"),
+        ([STIFF], r"materials\.0: no selector; give one of group, field, box, sphere, below, above, cells"),
         ([STIFF | {"cells": [0], "below": {"axis": "x", "at": 1}}], r"materials\.0: below and cells cannot be"),
         ([STIFF | {"cells": [24]}], r"materials\.0\.cells: 24 is not a cell; the mesh has 24, counted from 0"),
         ([STIFF | {"above": {"axis": "x", "at": 9}}], r"materials\.0: selects no cell; the centers of cells span"),

@@ -16,7 +16,8 @@ from pipeline.arrays import Floats, Ints
 from pipeline.errors import MeshError, join_names, shorten
 from pipeline.formats.meshes.abaqus_elements import ElementKind, find_element_kind
 from pipeline.formats.meshes.abaqus_keywords import Keyword, join_rows, read_keywords, read_numbers
-from pipeline.formats.meshes.plain_mesh import CellBlock, PlainMesh, make_block, number_nodes
+from pipeline.formats.meshes.abaqus_sets import ElementSets, join_sets, list_groups
+from pipeline.formats.meshes.plain_mesh import CellBlock, CellGroup, PlainMesh, make_block, number_nodes
 
 # they make or move nodes or elements in ways that are not implemented here
 _REFUSED = set(
@@ -37,6 +38,7 @@ class _AbaqusBody:
     points: list[Floats] = field(default_factory=list)
     elements: list[tuple[ElementKind, Ints]] = field(default_factory=list)  # with their own numbers in column 0
     system: tuple[Floats, Floats] | None = None  # origin (3,) and axes (3, 3) as rows
+    sets: ElementSets = field(default_factory=ElementSets)
 
 
 def read_abaqus(path: Path) -> PlainMesh:
@@ -70,6 +72,7 @@ class _Model:
             self.connections.add(f"*{name}")
         if name in ("SOLIDSECTION", "SHELLSECTION") and "MATERIAL" in keyword.options:
             self.materials[keyword.options["MATERIAL"]] = None
+            self.current.sets.add_section(keyword)
         if name in _ACTIONS:
             _ACTIONS[name](self, keyword)
 
@@ -124,6 +127,10 @@ class _Model:
         self.current.elements.append((kind, _read_ids(rows, keyword)))
         if "ELSET" in keyword.options:
             self.sets[kind.dimension, keyword.options["ELSET"]] = None
+            self.current.sets.add(keyword.options["ELSET"], self.current.elements[-1][1][:, 0])
+
+    def add_set(self, keyword: Keyword) -> None:
+        self.current.sets.add_keyword(keyword)
 
     def generate_nodes(self, keyword: Keyword) -> None:
         if keyword.options.keys() - {"NSET"}:
@@ -155,23 +162,36 @@ class _Model:
             counts.append(len(own_points))
             names += [name] if body.elements else []
         bodies = counts if len(names) > 1 else []
-        return PlainMesh(np.concatenate(points), blocks, self._list_notes(names), self._list_regions(blocks), bodies)
+        groups, unknown = self._list_groups(blocks)
+        notes = self._list_notes(names, unknown)
+        return PlainMesh(np.concatenate(points), blocks, notes, self._list_regions(blocks), bodies, groups)
 
     def _list_regions(self, blocks: Sequence[CellBlock]) -> list[str]:
         """Return the materials of the file, or the sets in which the elements of the highest dimension come."""
         top = max((dimension for _, dimension, *_ in blocks), default=0)
         return list(self.materials) or [name for dimension, name in self.sets if dimension == top]
 
+    def _list_groups(self, blocks: Sequence[CellBlock]) -> tuple[list[CellGroup], list[str]]:
+        """Return the sets and materials of the cells of the highest dimension, and the sets that are not understood."""
+        top, bodies = max((dimension for _, dimension, *_ in blocks), default=0), []
+        for body, _ in self._list_bodies():
+            ids = [np.zeros(0, dtype=np.int64), *(rows[:, 0] for kind, rows in body.elements if kind.dimension == top)]
+            bodies.append((body.name, np.concatenate(ids), body.sets))
+        return list_groups(bodies, self.whole.sets)
+
     def _list_bodies(self) -> list[tuple[_AbaqusBody, Keyword | None]]:
         """Return each instance with its placement, and the nodes and elements outside of all."""
         bodies: list[tuple[_AbaqusBody, Keyword | None]] = []
         for part, own, keyword in self.instances:
             points, elements = part.points + own.points, part.elements + own.elements
-            bodies.append((_AbaqusBody(own.name, part.ids + own.ids, points, elements), keyword))
+            sets = join_sets(part.sets, own.sets)
+            bodies.append((_AbaqusBody(own.name, part.ids + own.ids, points, elements, None, sets), keyword))
         return [*bodies, (self.whole, None)] if self.whole.ids else bodies
 
-    def _list_notes(self, names: Sequence[str]) -> list[str]:
+    def _list_notes(self, names: Sequence[str], unknown: Sequence[str]) -> list[str]:
         notes = []
+        if unknown:
+            notes.append(f"sets of sets that are not defined here are not read: {join_names(unknown)}")
         if len(names) > 1:
             notes.append(f"{len(names)} instances ({join_names(names)}) are bodies of their own: no nodes are joined")
         if self.connections:
@@ -190,6 +210,7 @@ _ACTIONS = {
     "NODE": _Model.add_nodes,
     "NGEN": _Model.generate_nodes,
     "ELEMENT": _Model.add_elements,
+    "ELSET": _Model.add_set,
 }
 
 

@@ -1,13 +1,22 @@
 """Meshes from the files that frames are read from: one instant of a series is a mesh, too."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pipeline.arrays import Ints
 from pipeline.errors import MeshError, SeriesError
 from pipeline.formats.grid import Grid
-from pipeline.formats.meshes.plain_mesh import CellBlock, PlainMesh, make_block
+from pipeline.formats.meshes.plain_mesh import (
+    CellBlock,
+    CellGroup,
+    PlainMesh,
+    find_integer_fields,
+    group_by_number,
+    make_block,
+)
 from pipeline.formats.readers import read_grid, read_times
 from pipeline.formats.vtu_read import read_inline
 
@@ -42,8 +51,12 @@ def read_grid_mesh(path: Path) -> PlainMesh:
             times = []
         notes = [f"the mesh is that of the first of {len(times)} instants"] if len(times) > 1 else []
         connectivity, joined = _join_parts(grid)
-        blocks = _split_blocks(grid, connectivity)
-        return PlainMesh(grid.points, blocks, [*notes, *grid.notes, *joined], _find_regions(grid, blocks))
+        blocks, order = _split_blocks(grid, connectivity)
+        fields = {name: np.asarray(values)[order] for name, values in grid.cell_data.items()}
+        groups = _find_groups(fields)
+        regions = [name for name, *_ in groups] if len(groups) > 1 else []
+        told = [*notes, *grid.notes, *joined]
+        return PlainMesh(grid.points, blocks, told, regions, [], groups, find_integer_fields(fields))
     except SeriesError as error:
         raise MeshError(str(error)) from None
 
@@ -56,25 +69,26 @@ def _join_parts(grid: Grid) -> tuple[Ints, list[str]]:
     return first[inverse.ravel()][grid.connectivity], [f"{len(grid.parts)} parts are joined at their common points"]
 
 
-def _split_blocks(grid: Grid, connectivity: Ints) -> list[CellBlock]:
-    """Return the cells by type and number of nodes."""
+def _split_blocks(grid: Grid, connectivity: Ints) -> tuple[list[CellBlock], Ints]:
+    """Return the cells by type and number of nodes, and the places in the grid of those of the highest dimension."""
     sizes = np.diff(grid.offsets)
-    blocks = []
+    blocks, places = [], [(-1, np.zeros(0, dtype=np.int64))]
     for kind, size in np.unique(np.column_stack([grid.types, sizes]), axis=0).tolist():
         name, dimension = _KINDS.get(kind, (f"cell type {kind}", 3))
-        starts = grid.offsets[:-1][(grid.types == kind) & (sizes == size)]
+        chosen = np.flatnonzero((grid.types == kind) & (sizes == size))
+        starts = grid.offsets[:-1][chosen]
         cells = connectivity[starts[:, None] + np.arange(size)]
         blocks.append(make_block(_LINEAR.get((kind, size), name), dimension, cells))
-    return blocks
+        places.append((dimension, chosen))
+    top = max(dimension for dimension, _ in places)
+    return blocks, np.concatenate([chosen for dimension, chosen in places if dimension == top])
 
 
-def _find_regions(grid: Grid, blocks: list[CellBlock]) -> list[str]:
-    """Return the values of the first cell field that names regions of the cells of the highest dimension."""
-    top = max((dimension for _, dimension, *_ in blocks), default=0)
-    chosen = np.array([_KINDS.get(kind, ("", 3))[1] == top for kind in grid.types.tolist()], dtype=bool)
-    for name in grid.cell_data:
-        if name.lower().replace(" ", "_") in _REGIONS:
-            values = np.unique(np.asarray(grid.cell_data[name])[chosen])
-            if 1 < len(values) <= _MOST_REGIONS and (values == np.round(values)).all():
-                return [f"{name} {value:g}" for value in values.tolist()]
+def _find_groups(fields: Mapping[str, Any]) -> list[CellGroup]:
+    """Return the groups in the first field that names regions of the cells of the highest dimension."""
+    for name, values in fields.items():
+        if name.lower().replace(" ", "_") in _REGIONS and len(values) == values.size:
+            numbers = np.unique(values)
+            if 0 < len(numbers) <= _MOST_REGIONS and (numbers == np.round(numbers)).all():
+                return group_by_number(np.ravel(values), name)
     return []

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import MeshError, shorten
-from pipeline.formats.meshes.plain_mesh import CellBlock, PlainMesh, make_block
+from pipeline.formats.meshes.gmsh_groups import group_by_entity, read_entity_groups
+from pipeline.formats.meshes.plain_mesh import CellGroup, PlainMesh, find_integer_fields, group_by_number, make_block
 
 _REGIONS = ("gmsh:physical", "netgen:index", "medit:ref", "cell_tags", "su2:tag", "avsucd:material")
 
@@ -39,7 +40,9 @@ def read_by_meshio(path: Path) -> PlainMesh:
             mesh = _read_mesh(path)
             points = np.ascontiguousarray(mesh.points, dtype=np.float64)
             blocks = [make_block(str(b.type), int(b.dim), b.data) for b in mesh.cells if len(b.data)]
-            regions = _find_regions(mesh, blocks)
+            top = max((dimension for _, dimension, *_ in blocks), default=0)
+            groups = _find_groups(path, mesh, top)
+            fields = {key: _pick_values(mesh, values, top) for key, values in mesh.cell_data.items()}
     except MemoryError:
         raise
     except (Exception, SystemExit) as error:
@@ -48,7 +51,8 @@ def read_by_meshio(path: Path) -> PlainMesh:
         # the parser of a text file may quote all of it; the first words are enough
         raise MeshError(f"{path}: meshio cannot read it ({shorten(' '.join(reason.split()), 300)}){missing}") from error
     output = " ".join(printed.getvalue().split())
-    return PlainMesh(points, blocks, [f"meshio says: {output}"] if output else [], regions)
+    notes = [f"meshio says: {output}"] if output else []
+    return PlainMesh(points, blocks, notes, [name for name, *_ in groups], [], groups, find_integer_fields(fields))
 
 
 def _check_parts(path: Path) -> None:
@@ -69,24 +73,40 @@ def _check_parts(path: Path) -> None:
             )
 
 
-def _find_regions(mesh: Any, blocks: list[CellBlock]) -> list[str]:
-    """Return the regions of the cells of the highest dimension, by the names in the file if it has any."""
-    top = max((dimension for _, dimension, *_ in blocks), default=0)
-    names = {(int(number), int(d)): str(name) for name, (number, d) in _list_names(mesh)}
+def _find_groups(path: Path, mesh: Any, top: int) -> list[CellGroup]:
+    """Return the groups of the cells of the highest dimension, by the names in the file if it has any."""
+    names = {int(number): str(name) for name, (number, d) in _list_names(mesh) if int(d) == top}
+    if path.suffix.lower() == ".msh" and "gmsh:geometrical" in mesh.cell_data:
+        of_entities = read_entity_groups(path, top)
+        if of_entities:
+            return group_by_entity(_pick_values(mesh, mesh.cell_data["gmsh:geometrical"], top), of_entities, names)
     for key in _REGIONS:
         if key in mesh.cell_data:
-            data = [
-                np.ravel(values) for block, values in zip(mesh.cells, mesh.cell_data[key], strict=True)
-                if len(block.data) and block.dim == top
-            ]  # fmt: skip
-            numbers = np.unique(np.concatenate(data)).tolist() if data else []
-            return [names.get((int(number), top), f"region {number:g}") for number in numbers]
-    sets = (mesh.cell_sets or {}).items()
-    solid = [block.dim == top for block in mesh.cells]
-    return [
-        name for name, places in sets
-        if any(chosen and place is not None and len(place) for place, chosen in zip(places, solid, strict=True))
-    ]  # fmt: skip
+            values = _pick_values(mesh, mesh.cell_data[key], top)
+            return group_by_number(values, "region", names) if values.ndim == 1 and len(values) else []
+    return _list_sets(mesh, top)
+
+
+def _pick_values(mesh: Any, blocks: Any, top: int) -> Any:
+    """Return the values of the cells of the highest dimension, block by block."""
+    pairs = zip(mesh.cells, blocks, strict=True)
+    values = [np.asarray(values) for block, values in pairs if len(block.data) and block.dim == top]
+    return np.concatenate(values) if values else np.zeros(0)
+
+
+def _list_sets(mesh: Any, top: int) -> list[CellGroup]:
+    """Return the named sets of the cells of the highest dimension; meshio counts them in each block."""
+    groups = []
+    for name, places in (mesh.cell_sets or {}).items():
+        start, chosen = 0, [np.zeros(0, dtype=np.int64)]
+        for block, cells in zip(mesh.cells, places, strict=True):
+            if block.dim == top:
+                chosen += [start + np.ravel(cells).astype(np.int64)] if cells is not None and len(cells) else []
+                start += len(block.data)
+        members = np.concatenate(chosen)
+        if len(members):
+            groups.append((str(name), "", members))
+    return groups
 
 
 def _list_names(mesh: Any) -> list[tuple[str, Any]]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.arrays import Floats
 from pipeline.errors import MeshError, shorten
-from pipeline.formats.meshes.plain_mesh import PlainMesh, make_block, number_nodes
+from pipeline.formats.meshes.plain_mesh import PlainMesh, group_by_number, make_block, number_nodes
 
 _REFUSED = set("CORD1R CORD1C CORD1S CORD3G GRDSET SPOINT EGRID GRIDB SEBULK RINGAX CMESH".split())
 _NO_CONNECTIONS = ("CORD", "COMP", "CLOAD", "CSSCHD", "CONV", "CHACAB")  # cards that begin like those of elements
@@ -73,7 +73,7 @@ def read_nastran(path: Path) -> PlainMesh:
     grids: dict[int, tuple[int, Floats]] = {}
     systems: dict[int, _System] = {}
     cells: dict[tuple[int, str], list[list[int]]] = {}
-    properties: dict[tuple[int, int], None] = {}
+    properties: dict[tuple[int, str], list[int]] = {}  # of each cell
     lines, others = 0, Counter[str]()
     for card in _read_cards(path):
         if card.name in _REFUSED:
@@ -87,7 +87,7 @@ def read_nastran(path: Path) -> PlainMesh:
         elif card.name in _ELEMENTS:
             dimension, kind, nodes = _read_element(card)
             cells.setdefault((dimension, kind), []).append(nodes)
-            properties[dimension, card.read_integer(2)] = None
+            properties.setdefault((dimension, kind), []).append(card.read_integer(2))
         elif card.name in _LINES:
             lines += 1
         elif card.name.startswith(("C", "RB", "RROD", "MPC")) and not card.name.startswith(_NO_CONNECTIONS):
@@ -101,7 +101,9 @@ def read_nastran(path: Path) -> PlainMesh:
     top = max((d for d, _ in properties), default=0)
     counts = ", ".join(f"{count} {shorten(name)}" for name, count in sorted(others.items()))
     notes = [f"connections are not read: {counts}"] if counts else []
-    return PlainMesh(points, blocks, notes, [f"property {p}" for d, p in properties if d == top])
+    numbers = [number for (d, _), of_cells in properties.items() if d == top for number in of_cells]
+    regions = [f"property {number}" for number in dict.fromkeys(numbers)]
+    return PlainMesh(points, blocks, notes, regions, [], group_by_number(numbers, "property") if numbers else [])
 
 
 def _add_grid(grids: dict[int, tuple[int, Floats]], card: _Card) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import MeshError, join_names, shorten
-from pipeline.formats.meshes.plain_mesh import PlainMesh, make_block
+from pipeline.formats.meshes.plain_mesh import PlainMesh, group_by_number, make_block
 
 # Medit's keywords of cells: dimension, kind and number of nodes
 _MEDIT_CELLS = {
@@ -33,8 +33,8 @@ def read_tetgen(path: Path) -> PlainMesh:
     simplex = 2 if corners in (3, 6) else 3
     # nodes on sides come in an order of tetgen's own, which their places tell later
     block = make_block(kind, simplex, rows[:, 1 : 1 + corners].astype(np.int64) - first)
-    regions = np.unique(rows[:, 1 + corners]).tolist() if rows.shape[1] > 1 + corners else []
-    return PlainMesh(points[:, 1 : 1 + dimension], [block], [], [f"region {value:g}" for value in regions])
+    groups = group_by_number(rows[:, 1 + corners], "region") if len(rows) and rows.shape[1] > 1 + corners else []
+    return PlainMesh(points[:, 1 : 1 + dimension], [block], [], [name for name, *_ in groups], [], groups)
 
 
 def _read_table(path: Path) -> tuple[tuple[int, int], np.ndarray]:
@@ -60,25 +60,26 @@ def read_medit(path: Path) -> PlainMesh:
     if "VERTICES" not in sections or dimension not in (2, 3):
         raise MeshError(f"{path}: has no Vertices of 2 or 3 dimensions: it is not Medit's")
     vertices = _read_section(path, "Vertices", sections.pop("VERTICES"), dimension + 1)
-    blocks, regions = [], dict[int, set[int]]()
+    blocks, references = [], dict[int, list[np.ndarray]]()
     for name in list(sections):
         if name in _MEDIT_CELLS:
             d, kind, nodes = _MEDIT_CELLS[name]
             rows = _read_section(path, name, sections.pop(name), nodes + 1).astype(np.int64)
             if len(rows):
                 blocks.append(make_block(kind, d, rows[:, :-1] - 1))
-                regions.setdefault(d, set()).update(np.unique(rows[:, -1]).tolist())
+                references.setdefault(d, []).append(rows[:, -1])
     for name in [name for name in _MEDIT_CURVED if name in sections]:
         d, kind, nodes = _MEDIT_CURVED[name]
         rows = _read_section(path, name, sections.pop(name), nodes + 1).astype(np.int64)
         if len(rows):
             blocks.append(make_block(kind, d, rows[:, :-1] - 1))
+            references.setdefault(d, []).append(rows[:, -1])
     sections = {name: words for name, words in sections.items() if name != "EDGESP2"}
     curved = [name for name in sections if name.endswith(("P2", "P3", "P4", "Q2"))]
     if curved:
         raise MeshError(f"{path}: {join_names(curved)} are not read; write cells of first order")
-    names = [f"reference {value}" for value in sorted(regions[max(regions)])] if regions else []
-    return PlainMesh(vertices[:, :-1], blocks, [], names)
+    groups = group_by_number(np.concatenate(references[max(references)]), "reference") if references else []
+    return PlainMesh(vertices[:, :-1], blocks, [], [name for name, *_ in groups], [], groups)
 
 
 def _split_sections(path: Path) -> dict[str, list[str]]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import degrees
 from typing import Any
 
-from pipeline.case import Case
+from pipeline.case import Case, MaterialSpec
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.problem.methods import IMPLICIT_STEPPERS, STEP_LIMITS
 
@@ -47,8 +47,15 @@ class ExtremeScene:
     @classmethod
     def from_mesh(cls, case: Case, mesh: ElementMesh) -> "ExtremeScene":
         """Return the scene of a case with that mesh."""
-        m = case.material
+        m = _require_material(case)
         return cls(case, mesh.dimension, mesh.size, (m.youngs_modulus / m.density) ** 0.5)
+
+
+def _require_material(case: Case) -> MaterialSpec:
+    """Return the material whose values are taken to extremes; raises CaseError if only regions have one."""
+    if case.material is None:
+        raise case.make_error("material", "missing; its values are taken to their extremes here")
+    return case.material
 
 
 @dataclass(frozen=True)
@@ -110,13 +117,13 @@ SLICES: Mapping[str, Slice] = {
     "youngs_modulus": Slice(
         "Pa",
         "Young's modulus",
-        lambda scene: _make_decades(scene.case.material.youngs_modulus),
+        lambda scene: _make_decades(_require_material(scene.case).youngs_modulus),
         lambda scene, E: {"changes": {"material.youngs_modulus": E}},
     ),
     "density": Slice(
         "kg m-3",
         "density",
-        lambda scene: _make_decades(scene.case.material.density),
+        lambda scene: _make_decades(_require_material(scene.case).density),
         lambda scene, rho: {"changes": {"material.density": rho}},
     ),
     "sliver": Slice(
