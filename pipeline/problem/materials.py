@@ -48,6 +48,12 @@ def number_materials(case: Case, mesh: ElementMesh) -> Ints | None:
     return numbers
 
 
+def find_materials(case: Case, mesh: ElementMesh) -> Ints | None:
+    """Return number_materials if cells have different materials, else None."""
+    numbers = number_materials(case, mesh)
+    return numbers if numbers is not None and (numbers != numbers[0]).any() else None
+
+
 def describe_materials(case: Case, mesh: ElementMesh) -> list[str]:
     """Return a line for each material with its number of cells and their volume; none without regions."""
     numbers = number_materials(case, mesh)

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
+from pipeline.arrays import Ints
 from pipeline.case import Case, MethodSpec
 from pipeline.errors import MeshError, join_names, quote_value
 from pipeline.fem.body import Body, Formulation
@@ -25,7 +26,7 @@ from pipeline.problem.conditions import (
     note_near_nodes,
 )
 from pipeline.problem.loads import LoadSum, LoadTotal, make_loads
-from pipeline.problem.materials import describe_materials, make_material
+from pipeline.problem.materials import describe_materials, find_materials, make_material
 from pipeline.problem.methods import (
     INVERSIONS,
     LAWS,
@@ -55,6 +56,7 @@ class Problem:
     last_frame: int
     notes: tuple[str, ...] = ()
     loads: tuple[LoadTotal, ...] = ()
+    materials: Ints | None = None
 
     def __repr__(self) -> str:
         mesh = self.body.mesh
@@ -101,7 +103,18 @@ def build(case: Case, *, mesh: ElementMesh | None = None) -> Problem:
     start = make_initial_state(case, body)
     name = f"{case.name}/{case.variant_name}"
     notes = (*_list_notes(case, mesh), *loads.notes)
-    return Problem(name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, notes, loads.totals)
+    return Problem(
+        name,
+        body,
+        case.method,
+        start,
+        s.dt,
+        s.steps_per_frame,
+        s.frames,
+        notes,
+        loads.totals,
+        find_materials(case, mesh),
+    )
 
 
 def _make_body(case: Case, mesh: ElementMesh, supports: Supports, loads: LoadSum) -> Body:

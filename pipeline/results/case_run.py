@@ -13,7 +13,7 @@ from pipeline.results.comparison import MOVIE_FILES, compare_variants
 from pipeline.results.disk import check_disk_space
 from pipeline.results.interrupt import Interrupted, catch_interrupts
 from pipeline.results.lock import lock_folder
-from pipeline.results.resume import digest_mesh
+from pipeline.results.resume import digest_body
 from pipeline.results.variant_run import (
     UNFINISHED,
     OnVariantFrame,
@@ -128,7 +128,7 @@ def _must_solve(case: Case, problem: Problem, folder: Path, *, force: bool, resu
         raise CaseError(f"{folder}: holds an unfinished run of this case; --resume continues it, --force starts again")
     changes = describe_difference(
         {"pipeline": run["versions"]["pipeline"], "mesh": run.get("mesh_digest")},
-        {"pipeline": VERSION, "mesh": digest_mesh(problem.body.mesh)},
+        {"pipeline": VERSION, "mesh": digest_body(problem.body)},
     )
     if changes:
         raise CaseError(f"{folder}: cannot continue with another version or mesh ({changes}); --force starts again")

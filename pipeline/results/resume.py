@@ -11,10 +11,10 @@ import numpy as np
 
 from pipeline.case import OutputSpec
 from pipeline.errors import SeriesError
+from pipeline.fem.body import Body
 from pipeline.formats.atomic import replace_file
 from pipeline.formats.grid import Grid
 from pipeline.formats.netcdf import NETCDF_LOCK
-from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.problem.problem import Problem
 from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.run.frame import Frame
@@ -28,9 +28,13 @@ from pipeline.sinks.netcdf import NetcdfSink
 CHECKPOINTS = "checkpoints"
 
 
-def digest_mesh(mesh: ElementMesh) -> str:
-    """Return a checksum of points and cells, which shows whether a mesh file has changed."""
-    return sha256(mesh.points.tobytes() + mesh.cells.tobytes()).hexdigest()
+def digest_body(body: Body) -> str:
+    """Return a checksum of points, cells and materials by cell, which shows whether a mesh file has changed."""
+    total, m = sha256(body.mesh.points.tobytes() + body.mesh.cells.tobytes()), body.material
+    for values in (m.youngs_modulus, m.poisson_ratio, m.density):
+        if isinstance(values, np.ndarray):  # numbers are in the case
+            total.update(values.tobytes())
+    return total.hexdigest()
 
 
 def prepare_resume(

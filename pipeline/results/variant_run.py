@@ -21,7 +21,7 @@ from pipeline.results.checkpoint import Checkpoint, CheckpointFolder
 from pipeline.results.failure import FILE as FAILURE
 from pipeline.results.failure import examine_failure
 from pipeline.results.interrupt import Interrupted, InterruptRequest
-from pipeline.results.resume import CHECKPOINTS, digest_mesh, frame_times, next_frame_index, prepare_resume
+from pipeline.results.resume import CHECKPOINTS, digest_body, frame_times, next_frame_index, prepare_resume
 from pipeline.run.frame import Frame, Sink
 from pipeline.run.frame_iterator import frames
 from pipeline.run.recording import Recording, RunSummary, Watcher, drive
@@ -249,7 +249,7 @@ def _describe_start(case: Case, problem: Problem) -> dict[str, Any]:
         "linear_solvers": list_linear_solvers(problem.body, problem.dt, problem.method),
         "cells": len(problem.body.mesh.cells),
         "nodes": len(problem.body.mesh.points),
-        "mesh_digest": digest_mesh(problem.body.mesh),
+        "mesh_digest": digest_body(problem.body),
     }
 
 

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Floats
+from pipeline.arrays import Floats, Ints
 from pipeline.linear.work import Work
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.stepping.state import State
@@ -24,7 +24,8 @@ class Frame:
     them: `known` is empty, and step, v, work and state are None.
 
     Nodes that a frame does not have are NaN in x, and so are the numbers of their cells; `fault` says why. A frame
-    whose cells are not those of the mesh (after remeshing) has numbers of the whole body in `whole`.
+    whose cells are not those of the mesh (after remeshing) has numbers of the whole body in `whole`. `materials` are
+    the numbers of the materials of cells (e,), if a body has several.
     """
 
     index: int
@@ -38,6 +39,7 @@ class Frame:
     state: State | None = None
     whole: Values = field(default_factory=dict)
     fault: str = ""
+    materials: Ints | None = None
 
     def __repr__(self) -> str:
         step = "" if self.step is None else f", step {self.step}"

@@ -78,6 +78,7 @@ def _make_frame(problem: Problem, state: State, effort: Effort, *, stepwise: boo
         known=known | (_list_choices(effort, problem.steps_per_frame) if stepwise else {}),
         work=effort.work,
         state=state,
+        materials=problem.materials,
     )
 
 

@@ -37,6 +37,7 @@ def make_frame_fields(frame: Frame, measured: Values, precision: Precision = "fl
         name: measured[name] for name, variable in VARIABLES.items() if variable.dims == ("cell",) and name in measured
     }
     cellular = {"volume": cellular["volume_ratio"] * mesh.rest_volumes, **cellular}
+    fixed: Fields = {} if frame.materials is None else {"material": frame.materials}
     numbers = {"TimeValue": np.array([[frame.time]])}
     if frame.step is not None:
         numbers["step"] = np.array([[frame.step]], dtype=np.int64)
@@ -44,7 +45,7 @@ def make_frame_fields(frame: Frame, measured: Values, precision: Precision = "fl
     return FrameFields(
         pad_to_space(frame.x).astype(precision, copy=False),
         {name: pad_to_space(value).astype(precision, copy=False) for name, value in nodal.items()},
-        {name: value.astype(precision, copy=False) for name, value in cellular.items()},
+        {**{name: value.astype(precision, copy=False) for name, value in cellular.items()}, **fixed},
         numbers,
     )
 

@@ -15,6 +15,7 @@ from operator import attrgetter
 from traceback import format_exception
 from typing import Any
 
+from pipeline.arrays import Ints
 from pipeline.errors import OutputError, shorten
 from pipeline.mesh.body_mesh import BodyMesh
 from pipeline.run.frame import Frame, Sink
@@ -94,7 +95,7 @@ class RemoteRecording:
             self._began = time.perf_counter()
             self._listener = threading.Thread(target=self._listen, name="answers", daemon=True)
             self._listener.start()
-            self._send((*self._opening, frame.mesh))
+            self._send((*self._opening, frame.mesh, frame.materials))
         with self._answered:
             self._waiting.append(frame)
         self._send(_get_fields(frame))
@@ -185,14 +186,18 @@ def record_runs(channel: Channel) -> None:
             _record_run(channel, *channel.receive())
 
 
-def _record_run(channel: Channel, sinks: Sequence[Sink], before: RunSummary | None, mesh: BodyMesh) -> None:
+def _record_run(
+    channel: Channel, sinks: Sequence[Sink], before: RunSummary | None, mesh: BodyMesh, materials: Ints | None
+) -> None:
     """Record one run; frames after a failure have no effect. The sinks are closed even if the channel ends early."""
     recording, has_failed = Recording(sinks, before=before), False
     try:
         while (fields := channel.receive()) is not None:
             if not has_failed:
                 try:
-                    recording.take(Frame(mesh=mesh, **dict(zip(_SENT_FIELDS, fields, strict=True))))
+                    recording.take(
+                        Frame(mesh=mesh, materials=materials, **dict(zip(_SENT_FIELDS, fields, strict=True)))
+                    )
                     channel.send(("written", recording.summary))
                 except BrokenPipeError:
                     raise

@@ -32,7 +32,7 @@ def test_a_table_has_lines_between_its_rows_and_is_constant_outside(t, value):
         ([(-1.0, 1.0), (1.0, 3.0)], lambda t: 2 * t + t * t / 2 if t < 1 else 2.5 + 3 * (t - 1)),
         ([(1.0, 2.0), (2.0, 2.0)], lambda t: 2 * t),
     ],
-    ids=str,
+    ids=lambda value: "exact" if callable(value) else str(value),
 )
 @pytest.mark.parametrize("interval", [0.07, 1e-3])
 def test_integrals_are_exact(spec, integral, interval):

@@ -271,7 +271,7 @@ def test_another_case_version_or_mesh_is_not_resumed_and_the_error_shows_the_dif
         patch.setattr(case_run, "VERSION", "99.0")
         solve(path, tmp_path / "out", resume=True)
     with monkeypatch.context() as patch, pytest.raises(CaseError, match=r"mesh: .* there, changed here"):
-        patch.setattr(case_run, "digest_mesh", lambda mesh: "changed")
+        patch.setattr(case_run, "digest_body", lambda body: "changed")
         solve(path, tmp_path / "out", resume=True)
     assert json.loads((folder / "run.json").read_text())["status"] == "interrupted"
     assert solve(path, tmp_path / "out", resume=True).variants[0].status == "finished"
