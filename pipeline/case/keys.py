@@ -43,10 +43,10 @@ class MeshSpec(Spec):
     size: Annotated[Lengths | None, about("extent of the shape along each axis", "m")] = None
     cells: Annotated[Counts | None, about("blocks along each axis, each of which is split into simplices")] = None
     split: Annotated[Text, about("how a block is split into simplices")] = "kuhn"
-    order: Annotated[ElementOrder, about("degree of the shape functions, 1 or 2; 2 is cheaper for an accuracy")] = 1
+    order: Annotated[ElementOrder, about("degree of the shape functions, 1 or 2; take 2 if the body bends")] = 1
     file: Annotated[Text | None, about("a mesh file (docs/meshes.md), relative to the case file")] = None
     refine: Annotated[
-        Repeats, about("how often every cell is cut into 8, or 4 in the plane, with sides half as long")
+        Repeats, about("how many times every cell is cut into 8, or 4 in the plane, of half its size")
     ] = 0
     scale: Annotated[Positive, about("factor that turns the file's coordinates into meters")] = 1.0
     arrays: Annotated[PythonValue | None, about("points and cells, given in Python")] = None

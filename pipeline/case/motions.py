@@ -36,7 +36,7 @@ class MotionSpec(Spec):
     def _check_motion(self) -> "MotionSpec":
         rigid = self.velocity is not None or self.spin is not None
         if not rigid and self.displacement is None:
-            raise make_fault("neither velocity nor spin is given, nor displacement")
+            raise make_fault("none of velocity, spin and displacement is given")
         if rigid and self.displacement is not None:
             raise make_fault("cannot be combined with velocity or spin", "displacement")
         if isinstance(self.displacement, tuple) and self.history is None:

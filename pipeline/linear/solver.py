@@ -42,13 +42,12 @@ class RestState:
     points: Floats
     assemble: Callable[[], Floats]
     find_ends: Callable[[], Ints] | None = None
+    is_held: np.ndarray | None = None
 
     @property
     def order(self) -> int:
         """Return the order of the elements."""
         return 1 if self.find_ends is None else 2
-
-    is_held: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)

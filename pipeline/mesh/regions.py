@@ -36,7 +36,7 @@ class Regions:
         in_other_case = [cells for own, _, cells in self.groups if own.casefold() == name.casefold()]
         found = by_name or by_number or in_other_case
         if not found:
-            raise MeshError(f"{quote_value(name)} is no group; {_list_choices('groups', self._list_groups())}")
+            raise MeshError(f"{quote_value(name)} is not a group; {_list_choices('groups', self._list_groups())}")
         if len(found) > 1:
             raise MeshError(f"{len(found)} groups are called {quote_value(name)}: {join_names(self._list_groups())}")
         return self._find_cells(found[0])
@@ -44,8 +44,8 @@ class Regions:
     def find_values(self, name: str, value: int) -> Ints:
         """Return the cells in which a field is exactly the value; raises MeshError if there are none."""
         if name not in self.fields:
-            have = _list_choices("fields of cells with whole numbers", self.fields)
-            raise MeshError(f"{quote_value(name)} is no field of cells with whole numbers; {have}")
+            have = _list_choices("fields of whole numbers on cells", self.fields)
+            raise MeshError(f"{quote_value(name)} is not a field of whole numbers on cells; {have}")
         values = self.fields[name]
         cells = np.flatnonzero(values == value)
         if not cells.size:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Ints
 from pipeline.case import Case, SelectorSpec, SupportSpec
@@ -23,29 +24,37 @@ _NEAR = 1e-6  # of the size: single precision, or text of seven digits, takes no
 def select_nodes(case: Case, key: str, selector: Any, mesh: ElementMesh) -> Ints:
     """Return the nodes that a selector of the case names; raises CaseError if there are none."""
     X = mesh.points
-    reach = _REACH * mesh.size
-    for name in ("plane", "below", "above"):
-        chosen = getattr(selector, name)
-        if chosen is not None and AXES[chosen if name == "plane" else chosen.axis] >= mesh.dimension:
-            raise case.make_error(f"{key}.{name}", "'z' is not an axis of a planar mesh")
-    if selector.plane is not None:
-        mask = np.abs(X[:, AXES[selector.plane]] - selector.at) <= reach
-    elif selector.box is not None:
-        low, high = (read_vector(case, f"{key}.box", corner, mesh.dimension) for corner in selector.box)
-        mask = np.all((low - reach <= X) & (high + reach >= X), axis=1)
-    elif selector.sphere is not None:
-        center = read_vector(case, f"{key}.sphere.center", selector.sphere.center, mesh.dimension)
-        mask = np.linalg.norm(X - center, axis=1) <= selector.sphere.radius + reach
-    elif selector.below is not None:
-        mask = X[:, AXES[selector.below.axis]] < selector.below.at
-    elif selector.above is not None:
-        mask = X[:, AXES[selector.above.axis]] > selector.above.at
-    else:
+    if selector.nodes is not None:
         return _check_nodes(case, key, selector.nodes, len(X))
+    if selector.plane is None:
+        mask = find_inside(case, key, selector, X, mesh.size)
+    elif AXES[selector.plane] >= mesh.dimension:
+        raise case.make_error(f"{key}.plane", "'z' is not an axis of a planar mesh")
+    else:
+        mask = np.abs(X[:, AXES[selector.plane]] - selector.at) <= _REACH * mesh.size
     if not mask.any():
         low, high = X.min(axis=0), X.max(axis=0)
         raise case.make_error(key, f"selects no node; the mesh spans {low.tolist()} to {high.tolist()}")
     return np.flatnonzero(mask)
+
+
+def find_inside(case: Case, key: str, selector: Any, X: Floats, size: float) -> NDArray[np.bool_]:
+    """Return which points X (n, d) of a body of that size are in the box, ball or half space of a selector.
+
+    Raises CaseError if it has another dimension.
+    """
+    d, reach = X.shape[1], _REACH * size
+    if selector.box is not None:
+        low, high = (read_vector(case, f"{key}.box", corner, d) for corner in selector.box)
+        return np.asarray(np.all((low - reach <= X) & (high + reach >= X), axis=1))
+    if selector.sphere is not None:
+        center = read_vector(case, f"{key}.sphere.center", selector.sphere.center, d)
+        return np.asarray(np.linalg.norm(X - center, axis=1) <= selector.sphere.radius + reach)
+    name, side = ("above", selector.above) if selector.below is None else ("below", selector.below)
+    if AXES[side.axis] >= d:
+        raise case.make_error(f"{key}.{name}", "'z' is not an axis of a planar mesh")
+    along = X[:, AXES[side.axis]]
+    return np.asarray(along < side.at if name == "below" else along > side.at)
 
 
 def note_near_nodes(case: Case, mesh: ElementMesh) -> list[str]:

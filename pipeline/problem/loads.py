@@ -20,12 +20,12 @@ from pipeline.fem.loads import (
     point_force,
     vector_traction,
 )
+from pipeline.fem.material import MaterialValues
 from pipeline.mesh.element_mesh import ElementMesh
 from pipeline.mesh.locate import locate_points
 from pipeline.mesh.surface import find_boundary_faces, measure_distance
 from pipeline.problem.case_values import get_python_value, list_times, read_history, read_vector
 from pipeline.problem.conditions import select_nodes
-from pipeline.problem.materials import make_material
 
 _FIELDS: dict[str, Callable[[ElementMesh, Floats], Floats]] = {
     "body_force_field": body_force_field,
@@ -54,9 +54,9 @@ class LoadSum:
     notes: tuple[str, ...]
 
 
-def make_loads(case: Case, mesh: ElementMesh, held: Ints) -> LoadSum:
+def make_loads(case: Case, mesh: ElementMesh, held: Ints, density: MaterialValues) -> LoadSum:
     """Return the loads of a case on a mesh whose nodes `held` do not move freely; raises CaseError."""
-    builder = _LoadBuilder(case, mesh)
+    builder = _LoadBuilder(case, mesh, density)
     free = np.ones(len(mesh.points), dtype=bool)
     free[held] = False
     constant, totals = np.zeros_like(mesh.points), []
@@ -80,9 +80,10 @@ def make_loads(case: Case, mesh: ElementMesh, held: Ints) -> LoadSum:
 class _LoadBuilder:
     """Makes the nodal forces of a case's loads, and collects notes."""
 
-    def __init__(self, case: Case, mesh: ElementMesh) -> None:
+    def __init__(self, case: Case, mesh: ElementMesh, density: MaterialValues) -> None:
         self.case = case
         self.mesh = mesh
+        self.density = density
         self.notes: list[str] = []
 
     @cached_property
@@ -99,7 +100,7 @@ class _LoadBuilder:
                 g, history = read_vector(case, key, gravity, d), None
             else:
                 g, history = read_vector(case, f"{key}.value", gravity.value, d), gravity.history
-            yield key, gravity_force(mesh, make_material(case, mesh).density, g), history
+            yield key, gravity_force(mesh, self.density, g), history
         if (b := loads.body_force) is not None:
             density = b.factor * read_vector(case, "loads.body_force", b.value, d)
             yield "loads.body_force", body_force(mesh, density), b.history

@@ -9,19 +9,15 @@ from pipeline.case import Case
 from pipeline.errors import MeshError, quote_value
 from pipeline.fem.material import Material, MaterialValues
 from pipeline.mesh.element_mesh import ElementMesh
-from pipeline.problem.case_values import read_vector
-from pipeline.problem.conditions import AXES
-
-_REACH = 1e-9  # of the size, as for nodes
+from pipeline.problem.conditions import find_inside
 
 
-def make_material(case: Case, mesh: ElementMesh) -> Material:
+def make_material(case: Case, numbers: Ints | None) -> Material:
     """Return the material of a case: numbers, or arrays (e,) of those values in which its regions differ.
 
-    Raises CaseError as number_materials does.
+    `numbers` are those of number_materials.
     """
     specs = (case.material, *case.materials)
-    numbers = number_materials(case, mesh)
     return Material(*(_spread(specs, key, numbers) for key in ("youngs_modulus", "poisson_ratio", "density")))
 
 
@@ -48,15 +44,11 @@ def number_materials(case: Case, mesh: ElementMesh) -> Ints | None:
     return numbers
 
 
-def find_materials(case: Case, mesh: ElementMesh) -> Ints | None:
-    """Return number_materials if cells have different materials, else None."""
-    numbers = number_materials(case, mesh)
-    return numbers if numbers is not None and (numbers != numbers[0]).any() else None
+def describe_materials(case: Case, mesh: ElementMesh, numbers: Ints | None) -> list[str]:
+    """Return a line for each material with its number of cells and their volume; none without regions.
 
-
-def describe_materials(case: Case, mesh: ElementMesh) -> list[str]:
-    """Return a line for each material with its number of cells and their volume; none without regions."""
-    numbers = number_materials(case, mesh)
+    `numbers` are those of number_materials.
+    """
     if numbers is None:
         return []
     unit = "m3" if mesh.dimension == 3 else "m2"
@@ -90,21 +82,7 @@ def _select_cells(case: Case, key: str, region: Any, mesh: ElementMesh) -> Ints:
     if region.cells is not None:
         return _find_children(case, key, region.cells, mesh)
     centers = _find_centers(mesh)
-    reach = _REACH * mesh.size
-    for name in ("below", "above"):
-        chosen = getattr(region, name)
-        if chosen is not None and AXES[chosen.axis] >= mesh.dimension:
-            raise case.make_error(f"{key}.{name}", "'z' is not an axis of a planar mesh")
-    if region.box is not None:
-        low, high = (read_vector(case, f"{key}.box", corner, mesh.dimension) for corner in region.box)
-        mask = np.all((low - reach <= centers) & (high + reach >= centers), axis=1)
-    elif region.sphere is not None:
-        center = read_vector(case, f"{key}.sphere.center", region.sphere.center, mesh.dimension)
-        mask = np.linalg.norm(centers - center, axis=1) <= region.sphere.radius + reach
-    elif region.below is not None:
-        mask = centers[:, AXES[region.below.axis]] < region.below.at
-    else:
-        mask = centers[:, AXES[region.above.axis]] > region.above.at
+    mask = find_inside(case, key, region, centers, mesh.size)
     if not mask.any():
         low, high = centers.min(axis=0), centers.max(axis=0)
         raise case.make_error(key, f"selects no cell; the centers of cells span {low.tolist()} to {high.tolist()}")

@@ -11,6 +11,7 @@ from pipeline.fem.body import Body, Formulation
 from pipeline.fem.body_choice import make_body
 from pipeline.fem.damping import Rayleigh
 from pipeline.fem.laws import Corotational, Law
+from pipeline.fem.material import Material
 from pipeline.fem.supports import Supports
 from pipeline.linear.pardiso import load_mkl
 from pipeline.mesh.element_mesh import ElementMesh
@@ -26,7 +27,7 @@ from pipeline.problem.conditions import (
     note_near_nodes,
 )
 from pipeline.problem.loads import LoadSum, LoadTotal, make_loads
-from pipeline.problem.materials import describe_materials, find_materials, make_material
+from pipeline.problem.materials import describe_materials, make_material, number_materials
 from pipeline.problem.methods import (
     INVERSIONS,
     LAWS,
@@ -94,31 +95,25 @@ def build(case: Case, *, mesh: ElementMesh | None = None) -> Problem:
     _check_method(case)
     mesh = build_mesh(case) if mesh is None else mesh
     supports = make_supports(case, mesh)
-    loads = make_loads(case, mesh, supports.nodes)
-    body = _make_body(case, mesh, supports, loads)
+    numbers = number_materials(case, mesh)
+    material = make_material(case, numbers)
+    loads = make_loads(case, mesh, supports.nodes, material.density)
+    body = _make_body(case, mesh, material, supports, loads)
     if not body.free_components.size:
         raise case.make_error("supports", f"all {len(mesh.points)} nodes are held; no free node is left")
     _check_step(case, body)
     s = case.schedule
     start = make_initial_state(case, body)
     name = f"{case.name}/{case.variant_name}"
-    notes = (*_list_notes(case, mesh), *loads.notes)
+    notes = (*_list_notes(case, mesh), *describe_materials(case, mesh, numbers), *loads.notes)
+    several = numbers if numbers is not None and (numbers != numbers[0]).any() else None
     return Problem(
-        name,
-        body,
-        case.method,
-        start,
-        s.dt,
-        s.steps_per_frame,
-        s.frames,
-        notes,
-        loads.totals,
-        find_materials(case, mesh),
-    )
+        name, body, case.method, start, s.dt, s.steps_per_frame, s.frames, notes, loads.totals, several
+    )  # fmt: skip
 
 
-def _make_body(case: Case, mesh: ElementMesh, supports: Supports, loads: LoadSum) -> Body:
-    law, mass, method = _make_law(case, mesh), MASSES[case.method.mass].part, case.method
+def _make_body(case: Case, mesh: ElementMesh, material: Material, supports: Supports, loads: LoadSum) -> Body:
+    law, mass, method = _make_law(case, material), MASSES[case.method.mass].part, case.method
     formulation = Formulation(cast(Any, method.rotation_at), cast(Any, method.volumetric))
     body = make_body(mesh, law, supports, loads.constant, mass, loads.varying, formulation)
     m = case.material
@@ -127,8 +122,8 @@ def _make_body(case: Case, mesh: ElementMesh, supports: Supports, loads: LoadSum
     return replace(body, damping=Rayleigh(m.mass_damping, m.stiffness_damping))
 
 
-def _make_law(case: Case, mesh: ElementMesh) -> Law:
-    material, method = make_material(case, mesh), case.method
+def _make_law(case: Case, material: Material) -> Law:
+    method = case.method
     if find_traits(method).chooses_model:
         return Corotational(material)
     return LAWS[method.law].part(material, ROTATIONS[method.rotation].part)
@@ -241,7 +236,6 @@ def _list_notes(case: Case, mesh: ElementMesh) -> tuple[str, ...]:
     replaced = mesh.regions.note if case.materials and mesh.regions is not None else ""
     told = [note for note in mesh.notes if note != replaced]
     notes = [*case.notes, *told, *note_near_nodes(case, mesh), *note_endless_motions(case)]
-    notes += describe_materials(case, mesh)
     unused = [key for key in ("law", "rotation", "iterations") if f"method.{key}" in case.own_keys]
     traits = find_traits(case.method)
     if traits.chooses_model and unused:

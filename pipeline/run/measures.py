@@ -42,7 +42,7 @@ VARIABLES: Mapping[str, Variable] = {
     "volume_ratio_mean": Variable((), "1", "mean volume ratio, weighted by rest volume"),
     "volume_ratio_quantile": Variable(("quantile",), "1", "quantiles of the volume ratio over cells, unweighted"),
     "inverted_count": Variable((), "1", "number of inverted cells", "det F is zero or less somewhere in them"),
-    "center_of_mass": Variable(("axis",), "m", "center of mass", "of a uniform body, or by its densities"),
+    "center_of_mass": Variable(("axis",), "m", "center of mass", "by the densities of a run, else of a uniform body"),
     "kinetic_energy": Variable((), "J", "kinetic energy"),
     "elastic_energy": Variable((), "J", "elastic energy", "of the law that was solved"),
     "potential_energy": Variable((), "J", "potential energy of the dead loads", "zero at the rest positions"),

@@ -354,7 +354,7 @@ WRONG = [
         "supports.0.box: [0.0, 2.0] is not below [1.0, 1.0]; write [[lowest], [highest]]",
     ),
     ({"supports": [{"sphere": {"center": [0, 0, 0]}}]}, "supports.0.sphere.radius: missing"),
-    ({"supports.0.motion": {}}, "supports.0.motion: neither velocity nor spin is given, nor displacement"),
+    ({"supports.0.motion": {}}, "supports.0.motion: none of velocity, spin and displacement is given"),
     (
         {"supports.0.motion": {"spin": {"axis": [0, 1], "rate": 1}}},
         "supports.0.motion.spin.axis: has 2 entries, not 3",

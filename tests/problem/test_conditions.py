@@ -136,7 +136,7 @@ def test_a_node_cannot_follow_two_supports_of_which_one_moves(tmp_path, order):
             {"spin": {"axis": [0, 1.0, 0], "rate": 1.0, "center": [0.0, 1.0]}},
             "supports.0.motion.spin.center: [0.0, 1.0] has 2 components, the mesh has 3",
         ),
-        ({}, "supports.0.motion: neither velocity nor spin is given"),
+        ({}, "supports.0.motion: none of velocity, spin and displacement is given"),
         ({"spin": {"axis": [0.0, 0.0, 0.0], "rate": 1.0}}, "supports.0.motion.spin.axis: "),
     ],
     ids=["velocity", "center", "nothing", "axis"],

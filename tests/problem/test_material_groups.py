@@ -219,8 +219,8 @@ def test_sets_of_instances_and_of_sets_in_abaqus_files(tmp_path):
 @pytest.mark.parametrize(
     ("selector", "message"),
     [
-        ({"group": "wood"}, r"materials\.0\.group: 'wood' is no group; the groups are soft \(3\), hard \(7\)$"),
-        ({"field": "x", "value": 1}, r"0\.field: 'x' is no field of cells with whole numbers; the .* gmsh:physical"),
+        ({"group": "wood"}, r"materials\.0\.group: 'wood' is not a group; the groups are soft \(3\), hard \(7\)$"),
+        ({"field": "x", "value": 1}, r"0\.field: 'x' is not a field of whole numbers on cells; the .* gmsh:physical"),
         ({"field": "gmsh:physical", "value": 4}, r"0\.field: no cell has 4 in 'gmsh:physical'; its values are 3, 7$"),
         ({"field": "gmsh:physical"}, r"materials\.0\.value: missing"),
         ({"value": 1, "cells": [0]}, r"materials\.0\.value: needs field, which is not given"),

@@ -156,7 +156,7 @@ WRONG = [
         "history: a history varies too fast to be ",
     ),
     ({"velocity": [1.0, 0.0, 0.0], "history": [[0, 0]]}, "history: has 1 row; a table needs two or more, each [t, val"),
-    ({"history": "t"}, ": neither velocity nor spin is given, nor displacement"),
+    ({"history": "t"}, ": none of velocity, spin and displacement is given"),
     ({"velocity": [1.0, 0.0, 0.0], "histroy": "t"}, 'histroy: unknown key; did you mean "supports.0.motion.history"?'),
 ]
 

@@ -79,10 +79,15 @@ def _compute_stresses(F, R, weights, first, count, mu, lam, is_mean, theta, P, W
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _load_rotations(Rs, first, count, q, R):
-    """Copy the rotations Rs (s, 3, 3) of `count` points into lanes (9, LANES); s counts points, or cells of q each."""
+def _set_rotations(has_rotations, Rs, weights, first, count, rotation, F, R, root, good, C):
+    """Write the rotations of `count` points into R (9, LANES): those of F, or Rs (s, 3, 3) of points or of cells."""
+    if not has_rotations:
+        find_rotations(rotation, F, count, R, root, good, C)
+        return
+    e, q = weights.shape
+    points = q if len(Rs) == e else 1  # of each of Rs
     for l in range(count):
-        site = Rs[(first + l) // q]
+        site = Rs[(first + l) // points]
         for i in range(3):
             for j in range(3):
                 R[3 * i + j, l] = site[i, j]
@@ -96,10 +101,7 @@ def energy(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs):
     for first in range(0, e * q, LANES):
         count = min(LANES, e * q - first)
         compute_gradients(x, cells, G[first // LANES], first, q, D, F)
-        if has_rotations:
-            _load_rotations(Rs, first, count, q if len(Rs) == e else 1, R)
-        else:
-            find_rotations(rotation, F, count, R, root, good, C)
+        _set_rotations(has_rotations, Rs, weights, first, count, rotation, F, R, root, good, C)
         row = min(first // LANES, len(mu) - 1)
         _compute_stresses(F, R, weights, first, count, mu[row], lam[row], is_mean, D[0], P, W)
         for l in range(count):
@@ -144,10 +146,7 @@ def force(x, cells, G, weights, mu, lam, is_mean, rotation, has_rotations, Rs, f
     for first in range(0, e * q, LANES):
         count = min(LANES, e * q - first)
         compute_gradients(x, cells, G[first // LANES], first, q, D, F)
-        if has_rotations:
-            _load_rotations(Rs, first, count, q if len(Rs) == e else 1, R)
-        else:
-            find_rotations(rotation, F, count, R, root, good, C)
+        _set_rotations(has_rotations, Rs, weights, first, count, rotation, F, R, root, good, C)
         row = min(first // LANES, len(mu) - 1)
         _compute_stresses(F, R, weights, first, count, mu[row], lam[row], is_mean, D[0], P, W)
         _scatter_forces(cells, G[first // LANES], weights, P, first, count, D, f)
@@ -252,10 +251,7 @@ def linearize(x, cells, G, weights, mu, lam, is_mean, rotation, pairs, scale, ha
     for first in range(0, e * q, LANES):
         count = min(LANES, e * q - first)
         compute_gradients(x, cells, G[first // LANES], first, q, D, F)
-        if has_rotations:
-            _load_rotations(Rs, first, count, q if len(Rs) == e else 1, R)
-        else:
-            find_rotations(rotation, F, count, R, root, good, C)
+        _set_rotations(has_rotations, Rs, weights, first, count, rotation, F, R, root, good, C)
         row = min(first // LANES, len(mu) - 1)
         _compute_stresses(F, R, weights, first, count, mu[row], lam[row], is_mean, D[0], P, W)
         _scatter_forces(cells, G[first // LANES], weights, P, first, count, D, f)
